@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data matrices: Hankel matrices, excitation, the online window. Pure numpy and scipy."""
 
+from .excitation import excitation_order, numerical_rank
 from .hankel import hankel
+from .window import DataWindow, Record, data_matrix
 
-__all__ = ["hankel"]
+__all__ = ["DataWindow", "Record", "data_matrix", "excitation_order", "hankel", "numerical_rank"]
