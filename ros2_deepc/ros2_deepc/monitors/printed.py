@@ -1,0 +1,76 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's Theorems 1 to 4 exactly as printed, so that anyone can check them against the corrected ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
+
+import numpy as np
+
+from .compress import Compression
+from .pencil import reduce
+from .verdict import Printed, Prior
+
+Window = Callable[[int, int], tuple[Compression, float]]
+"""Gives the compressed window of (L, d) with the bound of its noise."""
+
+
+class PrintedTheorems(Mapping[int, Printed]):
+    """Theorems 1 to 4 by number, each computed when first asked for.
+
+    Theorems 1 and 2 ask for a rank at every complex lambda; here infinity counts as well, since rank that vanishes as
+    lambda grows cannot be told from rank lost.
+
+    Args:
+        window: gives the compressed window of (L, d) and the bound of its noise; ValueError if the record is short.
+        prior: what is known of the plant.
+        L: block rows of the data matrices; Theorems 3 and 4 take at least the L that they ask for.
+    """
+
+    def __init__(self, window: Window, prior: Prior, L: int) -> None:
+        self._compute = cache(lambda number: _theorem(number, window, prior, L))
+
+    def __getitem__(self, number: int) -> Printed:
+        """The theorem of that number, 1 to 4."""
+        if number not in (1, 2, 3, 4):
+            raise KeyError(number)
+        return self._compute(number)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter((1, 2, 3, 4))
+
+    def __len__(self) -> int:
+        return 4
+
+
+def _theorem(number: int, window: Window, prior: Prior, L: int) -> Printed:
+    """One theorem on the data, or why it cannot be asked."""
+    slow = number in (1, 3)
+    if not slow and not prior.n:
+        return Printed(holds=False, rank=0, required=0, reason="needs the state dimension n")
+    if number == 3:
+        L = max(L, prior.q)
+    elif number == 4:
+        L = max(L, prior.q, prior.r)
+    pencil = number in (1, 2)
+    try:
+        data, noise = window(L, L + 1) if pencil else window(L - 1, L)
+    except ValueError as error:
+        return Printed(holds=False, rank=0, required=0, reason=str(error))
+    inputs = data.m * L
+    beyond = data.m * (prior.s - 1) + prior.q if slow else prior.n
+    eps = noise + data.floor
+    inverse = data.inverse()
+    if inverse is None:
+        reason = f"the inputs are not persistently exciting of order {data.d}"
+        return Printed(holds=False, rank=0, required=inputs + beyond, reason=reason)
+    seen = int(np.count_nonzero(np.linalg.svd(data.R22, compute_uv=False) > eps))
+    rank, lam = inputs + seen, complex("nan")
+    if pencil and 0 < seen <= beyond:
+        low = reduce(data, inverse, seen).minimum()
+        rank, lam = inputs + int(np.count_nonzero(low.singular_values > eps)), low.lambda_
+    holds = rank == inputs + beyond
+    reason = "" if holds else f"rank {rank} where {inputs + beyond} is asked for"
+    return Printed(holds=holds, rank=rank, required=inputs + beyond, lambda_star=lam, reason=reason)
