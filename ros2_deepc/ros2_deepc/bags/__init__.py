@@ -1,3 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
 """MCAP bags in the layout of rosbag2: write, read, replay."""
+
+from .errors import BagError
+from .reader import BagReader
+from .run import Run, load_run
+from .summary import summarize
+from .writer import BagWriter
+
+__all__ = ["BagError", "BagReader", "BagWriter", "Run", "load_run", "summarize"]

@@ -1,0 +1,16 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The one exception of the bag code."""
+
+
+class BagError(OSError):
+    """A bag cannot be written or read; the message is one line that says what, where and what to do."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message)
+
+
+def why(error: BaseException) -> str:
+    """Returns the plain reason of an operating-system error ("No space left on device") or the error's own text."""
+    text = (getattr(error, "strerror", None) or str(error) or type(error).__name__).strip()
+    return text.splitlines()[0]
