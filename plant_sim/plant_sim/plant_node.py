@@ -1,0 +1,206 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The node that runs a plant: takes inputs, publishes outputs, in lockstep or in real time."""
+
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from typing import Any
+
+import numpy as np
+from deepc_msgs.msg import PlantInfo, Sample
+from rclpy.clock import Clock, ClockType
+from rosgraph_msgs.msg import Clock as ClockMsg
+
+from ros2_deepc.ros import topics
+from ros2_deepc.ros.convert import period_ns, refusal, sample, stamp
+from ros2_deepc.ros.lifecycle import ManagedNode
+from ros2_deepc.ros.parameters import ConfigError, Param, declare
+from ros2_deepc.ros.publisher import PatientPublisher
+from ros2_deepc.ros.qos import profile
+from ros2_deepc.ros.run import run_node
+
+from .plant import Plant
+
+GROUP = "ros2_deepc.plants"
+
+PARAMETERS = (
+    Param("plant", "wscc9", "name of a registered plant, see `ros2-deepc plants`"),
+    Param("options", [""], "options of the plant as KEY=VALUE strings, e.g. variant=full"),
+    Param("mode", "lockstep", "who drives: the inputs (lockstep) or the clock (realtime)", choices=("lockstep", "realtime")),
+    Param("seed", 0, "seed of the plant's own randomness, e.g. its initial state", low=0),
+    Param("steps", 0, "run length; 0 = endless", unit="samples", low=0),
+    Param("speed", 1.0, "realtime only: how many times faster than the plant's own time", low=1e-6, high=1e9),
+    Param("readers", 0, "lockstep only: subscribers of outputs to wait for before the first sample", low=0),
+)
+
+
+def make_plant(name: str, options: Mapping[str, str]) -> Plant:
+    """Makes a registered plant.
+
+    Raises:
+        ConfigError: for an unknown name or an option that the plant does not have.
+    """
+    found = {entry.name: entry for entry in entry_points(group=GROUP)}
+    if name not in found:
+        raise ConfigError(f"unknown plant {name!r}; there are: {', '.join(sorted(found))}")
+    try:
+        plant: Plant = found[name].load()(**{key: _number(value) for key, value in options.items()})
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"plant {name}: {error}") from None
+    return plant
+
+
+def parse_options(options: list[str]) -> dict[str, str]:
+    """KEY=VALUE strings as a mapping; empty strings are skipped.
+
+    Raises:
+        ConfigError: for a string without '='.
+    """
+    pairs: dict[str, str] = {}
+    for text in filter(None, options):
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise ConfigError(f"plant option {text!r} must have the form KEY=VALUE, e.g. variant=full")
+        pairs[key] = value
+    return pairs
+
+
+def _number(text: str) -> Any:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def plant_info(plant: Plant, epoch: int, *, lockstep: bool) -> PlantInfo:
+    """What a plant says of itself."""
+    info = PlantInfo(name=plant.name, variant=plant.variant, epoch=epoch, lockstep=lockstep)
+    info.header.frame_id = plant.name
+    info.sample_time = float(plant.sample_time)
+    info.input_names, info.input_units = list(plant.input_names), list(plant.input_units)
+    info.output_names, info.output_units = list(plant.output_names), list(plant.output_units)
+    info.input_min = np.asarray(plant.input_min, float).tolist()
+    info.input_max = np.asarray(plant.input_max, float).tolist()
+    info.n, info.q, info.r, info.s = (int(value) for value in plant.prior)
+    info.d_known = plant.D is not None
+    info.d = [] if plant.D is None else np.asarray(plant.D, float).ravel().tolist()
+    return info
+
+
+class PlantNode(ManagedNode):
+    """Publishes plant_info, then outputs k as soon as the inputs up to k+s-1 are known; /clock in lockstep.
+
+    lockstep: every inputs message of the index waited for makes one step; anything else is refused and counted.
+    realtime: from the first inputs on, one step every Ts / speed; when no inputs came for a tick, the last ones are held and
+    the outputs say for how long.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("plant", **kwargs)
+        self.p = declare(self, PARAMETERS)
+        self.refused = 0
+        self.held_samples = 0
+
+    def configure(self) -> None:
+        """Makes the plant and its topics."""
+        self.plant = make_plant(self.p["plant"], parse_options(self.p["options"]))
+        self._lockstep = self.p["mode"] == "lockstep"
+        self._period = period_ns(self.plant.sample_time)
+        lockstep, Ts = self._lockstep, self.plant.sample_time / self.p["speed"]
+        self._info = self.create_publisher(PlantInfo, topics.PLANT_INFO.name, profile(topics.PLANT_INFO))
+        self._outputs = PatientPublisher(
+            self, topics.OUTPUTS, lockstep=lockstep, sample_time=Ts, readers=self.p["readers"] if lockstep else 0
+        )
+        self._clock = self.create_publisher(ClockMsg, topics.CLOCK.name, profile(topics.CLOCK)) if lockstep else None
+        self._inputs = self.create_subscription(
+            Sample,
+            topics.INPUTS.name,
+            self.guarded(self._on_inputs),
+            profile(topics.INPUTS, lockstep=lockstep),
+        )
+        self._timer = None
+
+    def activate(self) -> None:
+        """Starts the run: a fresh plant, its description, then it waits for inputs 0."""
+        self._epoch = 1
+        self._stepper = self.plant.start(self.p["seed"])
+        self._k = 0  # the next inputs to take
+        self._last: np.ndarray | None = None
+        self._held = 0
+        self._pending: dict[int, np.ndarray] = {}
+        self._start_ns = self._period if self._lockstep else self.get_clock().now().nanoseconds
+        info = plant_info(self.plant, self._epoch, lockstep=self._lockstep)
+        info.header.stamp = stamp(self._start_ns)
+        self._info.publish(info)
+        self.get_logger().info(f"{self.plant.name}: waiting for inputs 0 ({self.p['mode']})")
+
+    def deactivate(self) -> None:
+        """Stops the clock of a real-time run."""
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run length was reached."""
+        return bool(self.p["steps"] and self._k >= self.p["steps"])
+
+    def _time(self, k: int) -> int:
+        """Sampling instant of k [ns]. Lockstep starts at Ts: ROS reads 0 as 'no time'."""
+        return int(self._start_ns + k * self._period)
+
+    def _on_inputs(self, msg: Sample) -> None:
+        reason = refusal(msg, len(self.plant.input_names))
+        if not reason and msg.epoch != self._epoch:
+            reason = f"epoch {msg.epoch} instead of {self._epoch}"
+        if not reason and (msg.k != self._k if self._lockstep else msg.k < self._k):
+            reason = f"inputs {msg.k} when {self._k} are expected"
+        if reason:
+            self.refused += 1
+            self.get_logger().warning(f"inputs refused: {reason}", throttle_duration_sec=5.0)
+            return
+        u = np.array(msg.values)
+        if self._lockstep:
+            self._step(u)
+            return
+        self._pending[int(msg.k)] = u
+        if self._timer is None:
+            self._start_ns = self.get_clock().now().nanoseconds
+            self._tick()
+            self._timer = self.create_timer(
+                self._period / 1e9 / self.p["speed"], self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            )
+
+    def _tick(self) -> None:
+        u = self._pending.pop(self._k, None)
+        if u is None:
+            assert self._last is not None
+            self._held += 1
+            self.held_samples += 1
+            self.get_logger().warning(f"no inputs {self._k} in time, holding the last ones", throttle_duration_sec=5.0)
+            u = self._last
+        else:
+            self._held = 0
+        self._step(u)
+
+    def _step(self, u: np.ndarray) -> None:
+        if self.finished:
+            return
+        if self._clock is not None:
+            self._clock.publish(ClockMsg(clock=stamp(self._time(self._k))))
+        self._last = u
+        y = self._stepper.push(u)
+        self._k += 1
+        if y is not None:
+            k = self._k - max(int(self.plant.prior.s), 1)
+            self._outputs.publish(sample(self.plant.name, self._epoch, k, y, self._time(k), self._held))
+        if self.finished:
+            self.get_logger().info(f"{self.plant.name}: {self._k} samples done")
+
+
+def main() -> int:
+    """Console script: runs the plant node."""
+    return run_node(PlantNode)
