@@ -121,7 +121,8 @@ def data_matrix(records: tuple[Record, ...] | list[Record], rows_u: int, rows_y:
     """Stacked Hankel matrix [H(u); H(y)] of several records side by side.
 
     Column j of a record holds u(j), ..., u(j+rows_u-1) over y(j), ..., y(j+rows_y-1). A record may hold more
-    inputs than outputs (with index s >= 2 the inputs are known s-1 samples further); those that are too short give no column.
+    inputs than outputs (with index s >= 2 the inputs are known s-1 samples further). Records that are too short give no
+    column.
 
     Args:
         records: the records; u (n_u, m), y (n_y, p), both starting at the same instant.

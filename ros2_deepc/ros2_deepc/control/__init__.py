@@ -1,3 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
 """DeePC: predictor, condensed quadratic program, controller. Pure: no ROS."""
+
+from .controller import DeepcController
+from .result import NotReadyError, Status, StepResult
+from .settings import DeepcSettings
+
+__all__ = ["DeepcController", "DeepcSettings", "NotReadyError", "Status", "StepResult"]

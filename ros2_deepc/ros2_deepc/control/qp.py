@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Solvers of dense quadratic programs behind one small interface, with every answer checked."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import daqp
+import numpy as np
+import osqp
+from scipy.sparse import csc_matrix
+
+from ros2_deepc.behavior.hankel import Array
+
+INFINITE = 1e30
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a solver says.
+
+    Attributes:
+        x: point, shape (n,).
+        y: multipliers of the rows [I; A], shape (n + rows,); positive where an upper bound pushes.
+        solved: whether the solver claims optimality.
+        iterations: iterations made.
+        status: the solver's own word.
+    """
+
+    x: Array
+    y: Array
+    solved: bool
+    iterations: int
+    status: str
+
+
+class QpSolver(Protocol):
+    """min x'Hx/2 + f'x subject to lower <= [I; A] x <= upper; H and A stay for many solves."""
+
+    name: str
+
+    def load(self, H: Array, A: Array) -> None:
+        """Takes new matrices H (n, n), symmetric positive semidefinite, and A (rows, n)."""
+
+    def solve(self, f: Array, lower: Array, upper: Array) -> Answer:
+        """Solves for f (n,) and bounds (n + rows,), first the box, then the rows of A; infinite bounds are allowed."""
+
+
+class Osqp:
+    """OSQP: operator splitting, set up once with a fixed pattern, then updated. Bounded by iterations, never by time."""
+
+    name = "osqp"
+
+    def __init__(self) -> None:
+        self._model: Any = None
+        self._shape = (-1, -1)
+
+    def load(self, H: Array, A: Array) -> None:
+        """See `QpSolver.load`; a change of shape sets up anew."""
+        n, rows = H.shape[0], A.shape[0]
+        below = np.tril_indices(n)
+        Px = H[below[1], below[0]]  # upper triangle, column by column
+        Ax = np.vstack([np.ones(n), A]).T.ravel()  # column j: one entry of the identity, then column j of A
+        if self._shape == (n, rows):
+            self._model.update(Px=Px, Ax=Ax)
+            return
+        P = csc_matrix((Px, below[1], np.concatenate([[0], np.cumsum(np.arange(1, n + 1))])), shape=(n, n))
+        indices = np.hstack([np.arange(n)[:, None], np.tile(n + np.arange(rows), (n, 1))]).ravel()
+        AI = csc_matrix((Ax, indices, (rows + 1) * np.arange(n + 1)), shape=(n + rows, n))
+        free = np.full(n + rows, np.inf)
+        self._model = osqp.OSQP()
+        self._model.setup(
+            P,
+            np.zeros(n),
+            AI,
+            -free,
+            free,
+            verbose=False,
+            eps_abs=1e-6,
+            eps_rel=1e-6,
+            check_termination=10,
+            polishing=False,
+        )
+        self._shape = (n, rows)
+
+    def solve(self, f: Array, lower: Array, upper: Array) -> Answer:
+        """See `QpSolver.solve`."""
+        self._model.update(q=f, l=lower, u=upper)
+        answer = self._model.solve(raise_error=False)
+        info = answer.info
+        solved = info.status_val == osqp.SolverStatus.OSQP_SOLVED
+        if not solved:
+            self._model.warm_start(x=np.zeros(f.size), y=np.zeros(lower.size))  # a bad end is a bad start
+        return Answer(np.array(answer.x), np.array(answer.y), solved, int(info.iter), str(info.status))
+
+
+class Daqp:
+    """DAQP: dual active set, exact to rounding, warm started with the last active set."""
+
+    name = "daqp"
+
+    def __init__(self) -> None:
+        self._model: Any = None
+        self._H = self._A = np.empty((0, 0))
+        self._fresh = False
+
+    def load(self, H: Array, A: Array) -> None:
+        """See `QpSolver.load`; takes effect with the next solve."""
+        self._H, self._A, self._fresh = H.copy(), A.copy(), True
+
+    def solve(self, f: Array, lower: Array, upper: Array) -> Answer:
+        """See `QpSolver.solve`."""
+        low, high = np.maximum(lower, -INFINITE), np.minimum(upper, INFINITE)
+        if self._fresh or self._model is None:
+            sense = np.where(low == high, 5, 0).astype(np.int32)
+            self._model = daqp.Model()
+            flag, _ = self._model.setup(self._H, f, self._A, high, low, sense)
+            self._fresh = False
+            if flag < 0:
+                self._model = None
+                return Answer(np.full(f.size, np.nan), np.zeros(low.size), False, 0, f"setup failed ({flag})")
+        else:
+            self._model.update(f=f, bupper=high, blower=low)
+        x, _, flag, info = self._model.solve()
+        if flag != 1:
+            self._fresh = True
+        return Answer(np.array(x), np.array(info["lam"]), flag == 1, int(info["iterations"]), f"exit flag {flag}")
+
+
+def make_solver(name: str) -> QpSolver:
+    """A fresh solver by name, "osqp" or "daqp"."""
+    return Osqp() if name == "osqp" else Daqp()
+
+
+def fault(answer: Answer, H: Array, f: Array, A: Array, lower: Array, upper: Array, tolerance: float = 1e-4) -> str:
+    """Checks an answer against the optimality conditions; empty if it holds, else what is wrong with it.
+
+    Tolerances are relative to the size of the terms that are compared.
+    """
+    if not answer.solved:
+        return answer.status
+    x, y = answer.x, answer.y
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        return "not finite"
+    z = np.concatenate([x, A @ x])
+    excess = float(np.max(np.maximum(lower - z, z - upper), initial=0.0))
+    if excess > tolerance * max(1.0, float(np.abs(z).max(initial=0.0))):
+        return f"constraints violated by {excess:.1e}"
+    Hx, Ay = H @ x, y[: x.size] + A.T @ y[x.size :]
+    slope = float(np.abs(Hx + f + Ay).max(initial=0.0))
+    if slope > tolerance * max(1.0, *(float(np.abs(v).max(initial=0.0)) for v in (Hx, f, Ay))):
+        return f"not stationary by {slope:.1e}"
+    return ""
+
+
+class CheckedSolver:
+    """Two solvers in turn: the second one when the first one's answer does not stand up to the check.
+
+    Args:
+        first: name of the solver to try first.
+    """
+
+    def __init__(self, first: str) -> None:
+        self.solvers = (make_solver(first), make_solver("daqp" if first == "osqp" else "osqp"))
+        self._loaded = [False, False]
+        self._H = self._A = np.empty((0, 0))
+
+    def load(self, H: Array, A: Array) -> None:
+        """Takes new matrices; the second solver gets them when it is needed."""
+        self._H, self._A = H, A
+        self.solvers[0].load(H, A)
+        self._loaded = [True, False]
+
+    def solve(self, f: Array, lower: Array, upper: Array) -> tuple[Answer | None, int, str]:
+        """Solves and checks.
+
+        Returns:
+            The answer that passed the check, or None; which solver gave it (0 or 1, 2 for none); what the others failed on.
+        """
+        complaints = []
+        for i, solver in enumerate(self.solvers):
+            if not self._loaded[i]:
+                solver.load(self._H, self._A)
+                self._loaded[i] = True
+            answer = solver.solve(f, lower, upper)
+            complaint = fault(answer, self._H, f, self._A, lower, upper)
+            if not complaint:
+                return answer, i, "; ".join(complaints)
+            complaints.append(f"{solver.name}: {complaint}")
+        return None, 2, "; ".join(complaints)
