@@ -27,7 +27,12 @@ GROUP = "ros2_deepc.plants"
 PARAMETERS = (
     Param("plant", "wscc9", "name of a registered plant, see `ros2-deepc plants`"),
     Param("options", [""], "options of the plant as KEY=VALUE strings, e.g. variant=full"),
-    Param("mode", "lockstep", "who drives: the inputs (lockstep) or the clock (realtime)", choices=("lockstep", "realtime")),
+    Param(
+        "mode",
+        "lockstep",
+        "who drives: the inputs (lockstep) or the clock (realtime)",
+        choices=("lockstep", "realtime"),
+    ),
     Param("seed", 0, "seed of the plant's own randomness, e.g. its initial state", low=0),
     Param("steps", 0, "run length; 0 = endless", unit="samples", low=0),
     Param("speed", 1.0, "realtime only: how many times faster than the plant's own time", low=1e-6, high=1e9),
@@ -103,6 +108,17 @@ class PlantNode(ManagedNode):
         self.p = declare(self, PARAMETERS)
         self.refused = 0
         self.held_samples = 0
+
+    @staticmethod
+    def info(parameters: Mapping[str, Any]) -> PlantInfo:
+        """What the plant of these parameters would say of itself, without running it.
+
+        Raises:
+            ConfigError: for an unknown plant or option.
+        """
+        given = {row.name: row.default for row in PARAMETERS} | dict(parameters)
+        plant = make_plant(given["plant"], parse_options(given["options"]))
+        return plant_info(plant, 1, lockstep=given["mode"] == "lockstep")
 
     def configure(self) -> None:
         """Makes the plant and its topics."""

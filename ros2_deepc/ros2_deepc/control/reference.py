@@ -1,0 +1,34 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""References over time."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class ReferenceSchedule:
+    """References by the first sample from which they hold."""
+
+    def __init__(self, p: int) -> None:
+        self._p = p
+        self._steps: dict[int, NDArray[np.float64]] = {}
+
+    def set(self, k: int, values: ArrayLike) -> None:
+        """Sets the reference that holds from sample k on, shape (p,).
+
+        Raises:
+            ValueError: for a wrong size or a value that is not finite.
+        """
+        y = np.array(values, dtype=np.float64)
+        if y.shape != (self._p,):
+            raise ValueError(f"a reference for {self._p} outputs has shape ({self._p},), got {y.shape}")
+        if not np.isfinite(y).all():
+            raise ValueError(f"the reference {y.tolist()} from sample {k} on is not finite")
+        y.setflags(write=False)
+        self._steps[k] = y
+
+    def at(self, k: int) -> NDArray[np.float64] | None:
+        """The reference at sample k, shape (p,); None before the first one."""
+        past = [start for start in self._steps if start <= k]
+        return self._steps[max(past)] if past else None

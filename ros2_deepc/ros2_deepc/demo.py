@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""One run from start to finish: start a zone, record it, draw and sum it up."""
+
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from .bags.figure import draw
+from .bags.run import load_run
+from .bags.summary import summarize
+from .dashboard import Dashboard
+from .nodes.config import Parameters, merged, node_class, save
+from .nodes.controller_node import make_agent
+from .nodes.stack import Stack, running
+from .ros.parameters import ConfigError
+
+_ROLES = ("recorder", "monitor", "controller", "operator", "plant")
+_SILENCE = 60.0  # [s] without any message before a run counts as stuck
+_READERS = {
+    "plant": {"readers": 4},  # controller, monitor, recorder, observer
+    "controller": {"readers_inputs": 3, "readers_state": 2},  # plant, monitor, recorder; recorder, observer
+    "monitor": {"readers": 2},  # recorder, observer
+    "operator": {"readers": 2},  # controller, recorder
+}
+
+
+class RunError(RuntimeError):
+    """A run that did not reach its end; the message is one line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """How to run.
+
+    Attributes:
+        out: folder for everything the run leaves behind; made here, must be empty.
+        namespace: of the zone.
+        executor: "events" or "single".
+        processes: one process a node.
+        domain_id: DDS domain, None = ROS_DOMAIN_ID.
+    """
+
+    out: Path
+    namespace: str
+    executor: str = "events"
+    processes: bool = False
+    domain_id: int | None = None
+
+
+def run(parameters: Parameters, options: Options, console: Console) -> dict[str, Any]:
+    """Runs a zone in lockstep to its last sample and leaves a bag, a figure and a summary in ``options.out``.
+
+    Returns:
+        The summary, as written to summary.json.
+
+    Raises:
+        ConfigError: if the parameters cannot work (nothing is written then).
+        RunError: if the run did not reach its end; the folder then holds a file FAILED that says why.
+        OSError: if the folder cannot be written.
+    """
+    steps = parameters["plant"].get("steps", 0)
+    if steps < 1:
+        raise ConfigError("plant: a run that is summed up needs steps >= 1")
+    info = node_class("plant").info(parameters["plant"])  # type: ignore[attr-defined]
+    make_agent(parameters["controller"], info)
+    out = _fresh(options.out)
+    parameters = merged(parameters, _READERS)
+    parameters = merged(
+        parameters,
+        {
+            "recorder": {"folder": str(out / "bag"), "metadata": _metadata(parameters)},
+            "monitor": {"log": str(out / "verdicts")},
+        },
+    )
+    save(parameters, out / "parameters.yaml")
+    try:
+        _to_the_end(parameters, steps, info.name, options, console, out)
+        return _harvest(out)
+    except Exception as error:
+        (out / "FAILED").write_text(f"{error}\n", encoding="utf-8")
+        raise
+
+
+def _to_the_end(
+    parameters: Parameters, steps: int, name: str, options: Options, console: Console, out: Path
+) -> None:
+    period = parameters["monitor"].get("period", 10)
+    last_report = steps // period * period - 1
+    with running(
+        _ROLES,
+        out / "parameters.yaml",
+        namespace=options.namespace,
+        executor=options.executor,
+        processes=options.processes,
+        domain_id=options.domain_id,
+    ) as stack, Dashboard(console, stack.observer, steps, name) as board:
+        seen = stack.observer
+
+        def done() -> bool:
+            reported = last_report < 0 or (seen.report is not None and seen.report.k >= last_report)
+            return bool(stack.failure()) or (reported and seen.state is not None and seen.state.k >= steps - 1)
+
+        watch = _Watch(stack)
+        stack.spinner.until(done, lambda: (board.draw(), watch.look()))  # type: ignore[func-returns-value]
+        if stack.failure():
+            raise RunError(stack.failure())
+        stack.finish()
+
+
+class _Watch:
+    """Raises when nothing has happened for too long."""
+
+    def __init__(self, stack: Stack) -> None:
+        self._stack = stack
+        self._seen, self._since = -1, time.monotonic()
+
+    def look(self) -> None:
+        observer, now = self._stack.observer, time.monotonic()
+        if observer.messages != self._seen:
+            self._seen, self._since = observer.messages, now
+        elif now - self._since > _SILENCE:
+            k = "none" if observer.state is None else observer.state.k
+            raise RunError(f"nothing was published for {_SILENCE:.0f} s; last sample controlled: {k}")
+
+
+def _fresh(out: Path) -> Path:
+    """Makes the folder of the run.
+
+    Raises:
+        OSError: with a message that says what to do.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise OSError(f"{out} exists and is not an empty folder: choose another one with --out")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe = out / ".probe"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise OSError(f"cannot write to {out}: {error.strerror}; choose another folder with --out") from None
+    return out
+
+
+def _metadata(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    plant = parameters["plant"]
+    return [f"plant={plant.get('plant', '')}", f"seed={plant.get('seed', 0)}", f"steps={plant['steps']}"]
+
+
+def _harvest(out: Path) -> dict[str, Any]:
+    """Figure and summary, from the bag alone."""
+    record = load_run(out / "bag")
+    summary = summarize(record)
+    draw(record, out / "figure.png")
+    (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    return summary

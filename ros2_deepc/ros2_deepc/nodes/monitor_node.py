@@ -1,0 +1,176 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The monitor: verdicts on the live data, published and logged."""
+
+import math
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from deepc_msgs.msg import MonitorReport, PlantInfo, Sample
+from deepc_msgs.msg import Verdict as VerdictMsg
+from rclpy.serialization import serialize_message
+
+from ..bags.writer import BagWriter
+from ..monitors import Finding, Prior, Report, Verdict
+from ..monitors.live import LiveMonitor, LiveReport
+from ..ros import topics
+from ..ros.convert import nanoseconds, refusal
+from ..ros.diagnostics import OK, WARN, Diagnostics
+from ..ros.lifecycle import ManagedNode
+from ..ros.parameters import Param, declare
+from ..ros.publisher import PatientPublisher
+from ..ros.qos import profile
+from ..ros.run import run_node
+
+PARAMETERS = (
+    Param("window", 2000, "outputs in the window of the tests", "samples", low=1, high=1_000_000),
+    Param("period", 10, "outputs between two reports", "samples", low=1, high=1_000_000),
+    Param("L", 0, "block rows of the tests; 0 = chosen by the analysis", low=0, high=1000),
+    Param("noise", 0.0, "bound of the measurement noise on every output; 0 = exact data", "output units", low=0.0),
+    Param("q", 0, "prior: upper bound of the slow order; 0 = what the plant says", low=0),
+    Param("s", 0, "prior: upper bound of the nilpotency index; 0 = what the plant says", low=0),
+    Param("log", "", "folder of an MCAP log of the reports; empty = none"),
+    Param("readers", 0, "lockstep only: subscribers of the report to wait for before publishing", low=0),
+)
+
+PROPERTIES = ("r_controllability", "c_controllability", "r_observability", "c_observability")
+
+
+class MonitorNode(ManagedNode):
+    """Pairs inputs and outputs, tests the newest stretch every few samples, publishes and logs the report."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("monitor", **kwargs)
+        self.p = declare(self, PARAMETERS)
+        self.refused = 0
+        self._log: BagWriter | None = None
+
+    def configure(self) -> None:
+        """Opens the log and makes the topics that do not depend on the plant."""
+        self._live: LiveMonitor | None = None
+        self._report = PatientPublisher(self, topics.REPORT, lockstep=True, readers=self.p["readers"])
+        self._diagnostics = Diagnostics(self, "")
+        if self.p["log"]:
+            self._log = BagWriter(Path(self.p["log"]))
+            self._log_topic = self.resolve_topic_name(topics.REPORT.name)
+            self._log.add_topic(self._log_topic, topics.REPORT.type_name)
+        self._plant = self.create_subscription(
+            PlantInfo, topics.PLANT_INFO.name, self.guarded(self._on_plant), profile(topics.PLANT_INFO)
+        )
+        self._data: list[Any] = []
+
+    def cleanup(self) -> None:
+        """Closes the log and takes the topics off the graph."""
+        for subscription in (*self._data, self._plant):
+            self.destroy_subscription(subscription)
+        self._data.clear()
+        self._report.destroy()
+        self._diagnostics.destroy()
+        if self._log is not None:
+            self._log.close()
+            self._log = None
+
+    def _on_plant(self, info: PlantInfo) -> None:
+        """A plant or a new epoch of it: a fresh window."""
+        D = np.reshape(info.d, (len(info.output_names), len(info.input_names))) if info.d_known else None
+        prior = Prior(q=self.p["q"] or info.q, s=self.p["s"] or max(info.s, 1), n=info.n, D=D)
+        self._info = info
+        self._stamps: deque[tuple[int, Any]] = deque(maxlen=1000)
+        self._verdicts: dict[str, Verdict] = {}
+        self._live = LiveMonitor(
+            prior, window=self.p["window"], period=self.p["period"], noise=self.p["noise"], L=self.p["L"] or None
+        )
+        if self._data:
+            return
+        for topic, callback in ((topics.INPUTS, self._on_inputs), (topics.OUTPUTS, self._on_outputs)):
+            qos = profile(topic, lockstep=info.lockstep)
+            self._data.append(self.create_subscription(Sample, topic.name, self.guarded(callback), qos))
+
+    def _on_inputs(self, msg: Sample) -> None:
+        if self._accepts(msg, len(self._info.input_names)):
+            assert self._live is not None
+            self._publish(self._live.input(int(msg.k), msg.values))
+
+    def _on_outputs(self, msg: Sample) -> None:
+        if self._accepts(msg, len(self._info.output_names)):
+            assert self._live is not None
+            self._stamps.append((int(msg.k), msg.header.stamp))
+            self._publish(self._live.output(int(msg.k), msg.values, int(msg.held)))
+
+    def _accepts(self, msg: Sample, size: int) -> bool:
+        reason = refusal(msg, size)
+        if not reason and msg.epoch != self._info.epoch:
+            reason = f"epoch {msg.epoch} instead of {self._info.epoch}"
+        if reason:
+            self.refused += 1
+            self.get_logger().warning(f"sample {msg.k} refused: {reason}", throttle_duration_sec=5.0)
+        return not reason
+
+    def _publish(self, reports: list[LiveReport]) -> None:
+        for live in reports:
+            msg = self._message(live)
+            self._report.publish(msg)
+            if self._log is not None:
+                time = nanoseconds(msg.header.stamp)
+                self._log.write(self._log_topic, serialize_message(msg), time, time)
+            self._note_changes(live.report)
+
+    def _message(self, live: LiveReport) -> MonitorReport:
+        msg = report_message(live)
+        msg.epoch = self._info.epoch
+        msg.header.frame_id = self._info.name
+        msg.header.stamp = dict(self._stamps)[live.k]
+        now = self.get_clock().now().nanoseconds
+        msg.data_age = max(0.0, (now - nanoseconds(msg.header.stamp)) / 1e9)
+        return msg
+
+    def _note_changes(self, report: Report) -> None:
+        verdicts = {name: getattr(report, name).verdict for name in PROPERTIES}
+        if verdicts == self._verdicts:
+            return
+        self._verdicts = verdicts
+        text = ", ".join(f"{name} {verdict.name}" for name, verdict in verdicts.items())
+        self.get_logger().info(text)
+        level = WARN if Verdict.PRIOR_VIOLATED in verdicts.values() else OK
+        self._diagnostics.report(level, text, {name: getattr(report, name).reason for name in PROPERTIES})
+
+
+def verdict_message(finding: Finding) -> VerdictMsg:
+    """A finding as a message."""
+    return VerdictMsg(
+        verdict=int(finding.verdict),
+        reason=finding.reason,
+        theorem=finding.theorem,
+        rank=int(finding.rank),
+        required=int(finding.required),
+        margin=float(finding.margin),
+        noise_bound=float(finding.noise_bound),
+        lambda_star_re=float(finding.lambda_star.real),
+        lambda_star_im=float(finding.lambda_star.imag),
+        gap=float(finding.gap),
+    )
+
+
+def report_message(live: LiveReport) -> MonitorReport:
+    """A report as a message, without its header."""
+    report = live.report
+    msg = MonitorReport(k=live.k, compute_time=live.compute_time, data_age=math.nan)
+    for name in PROPERTIES:
+        setattr(msg, name, verdict_message(getattr(report, name)))
+    msg.excitation, msg.excitation_need = int(report.excitation_order), int(report.excitation_need)
+    msg.rank, msg.rank_need = int(report.rank), int(report.rank_need)
+    msg.window, msg.depth = live.samples, int(report.L)
+    estimate = report.estimate
+    msg.estimated_q, msg.estimated_s, msg.estimated_lag = int(estimate.q), int(estimate.s), int(estimate.lag)
+    msg.modes_re = [float(mode.lambda_.real) for mode in report.modes]
+    msg.modes_im = [float(mode.lambda_.imag) for mode in report.modes]
+    msg.modes_strength = [float(mode.strength) for mode in report.modes]
+    return msg
+
+
+def main() -> int:
+    """Console script: runs the monitor node."""
+    return run_node(MonitorNode)

@@ -1,0 +1,41 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A node that only looks: the newest of everything, for people and for the end of a run."""
+
+from collections.abc import Callable
+from typing import Any
+
+from deepc_msgs.msg import ControllerState, MonitorReport, PlantInfo, Sample
+from rclpy.node import Node
+
+from ..ros import topics
+from ..ros.qos import profile
+
+
+class Observer(Node):
+    """Keeps the newest plant_info, outputs, state and report; calls ``on_change`` after each."""
+
+    def __init__(self, *, on_change: Callable[[], None], **kwargs: Any) -> None:
+        super().__init__("observer", **kwargs)
+        self.info: PlantInfo | None = None
+        self.outputs: Sample | None = None
+        self.state: ControllerState | None = None
+        self.report: MonitorReport | None = None
+        self.messages = 0
+        self._on_change = on_change
+        for topic, field in (
+            (topics.PLANT_INFO, "info"),
+            (topics.OUTPUTS, "outputs"),
+            (topics.STATE, "state"),
+            (topics.REPORT, "report"),
+        ):
+            self.create_subscription(topic.type, topic.name, self._keeps(field), profile(topic))
+
+    def _keeps(self, field: str) -> Callable[[Any], None]:
+        def keep(msg: Any) -> None:
+            setattr(self, field, msg)
+            self.messages += 1
+            self._on_change()
+
+        return keep

@@ -1,0 +1,159 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""All nodes of a zone, in one process or in one process each."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rclpy.context import Context
+from threadpoolctl import threadpool_limits
+
+from ..ros.lifecycle import ManagedNode
+from ..ros.parameters import ConfigError
+from ..ros.run import Spinner, make_executor, ros
+from .config import node_class
+from .observer import Observer
+
+_STOP_SECONDS = 30.0
+
+
+@dataclass
+class Stack:
+    """A running zone.
+
+    Attributes:
+        observer: sees what goes over the topics.
+        spinner: runs this process's share of it.
+        failure: one line on why a node gave up; empty while all is well.
+        finish: stops all nodes in the order given and waits until each has cleaned up.
+    """
+
+    observer: Observer
+    spinner: Spinner
+    failure: Callable[[], str]
+    finish: Callable[[], None] = field(default=lambda: None)
+
+
+@contextmanager
+def running(
+    roles: Sequence[str],
+    params_file: Path,
+    *,
+    namespace: str,
+    executor: str = "events",
+    processes: bool = False,
+    domain_id: int | None = None,
+) -> Iterator[Stack]:
+    """Starts the nodes of ``roles`` and stops them at the end.
+
+    Args:
+        roles: which nodes, in the order in which they are started; they are stopped in the reverse order of need,
+            the recorder last.
+        params_file: ROS parameter file for all of them.
+        namespace: of the zone.
+        executor: "events" or "single".
+        processes: one process a node instead of this one for all.
+        domain_id: DDS domain, None = ROS_DOMAIN_ID.
+
+    Raises:
+        ConfigError: if a node cannot be configured.
+    """
+    with ExitStack() as cleanup:
+        cleanup.enter_context(threadpool_limits(limits=1))
+        context = cleanup.enter_context(ros([], domain_id))
+        spin = make_executor(executor, context)
+        spinner = Spinner(spin)
+        observer = Observer(
+            on_change=spinner.wake,
+            context=context,
+            namespace=namespace,
+            use_global_arguments=False,
+        )
+        spin.add_node(observer)
+        cleanup.callback(observer.destroy_node)
+        cleanup.callback(spin.shutdown)
+        arguments = ["--ros-args", "--params-file", str(params_file), "-r", f"__ns:={namespace}"]
+        if processes:
+            zone = _Processes(roles, arguments, executor, domain_id, spinner)
+        else:
+            zone = _InProcess(roles, arguments, context, spin, spinner)
+        cleanup.callback(zone.finish)
+        zone.start()
+        yield Stack(observer, spinner, zone.failure, zone.finish)
+
+
+class _InProcess:
+    """Nodes in this process, on one executor."""
+
+    def __init__(self, roles: Sequence[str], arguments: list[str], context: Context, executor: object, spinner: Spinner) -> None:
+        self._spinner = spinner
+        self._executor = executor
+        self._nodes: list[ManagedNode] = []
+        try:
+            for role in roles:
+                self._nodes.append(node_class(role)(context=context, cli_args=arguments, use_global_arguments=False))
+        except ConfigError:
+            for node in self._nodes:
+                node.destroy_node()
+            raise
+
+    def start(self) -> None:
+        for node in self._nodes:
+            self._executor.add_node(node)  # type: ignore[attr-defined]
+            node.start()
+
+    def failure(self) -> str:
+        return next((node.fault for node in self._nodes if node.fault), "")
+
+    def finish(self) -> None:
+        for node in sorted(self._nodes, key=lambda n: hasattr(n, "drained")):
+            drained = getattr(node, "drained", None)
+            if drained is not None and not node.fault:
+                self._spinner.until(drained)
+            node.stop()
+            self._executor.remove_node(node)  # type: ignore[attr-defined]
+            node.destroy_node()
+        self._nodes.clear()
+
+
+class _Processes:
+    """Nodes in processes of their own, started from the installed console scripts."""
+
+    def __init__(
+        self, roles: Sequence[str], arguments: list[str], executor: str, domain_id: int | None, spinner: Spinner
+    ) -> None:
+        self._roles, self._arguments, self._executor, self._spinner = roles, arguments, executor, spinner
+        self._env = dict(os.environ)
+        if domain_id is not None:
+            self._env["ROS_DOMAIN_ID"] = str(domain_id)
+        self._children: dict[str, subprocess.Popen[str]] = {}
+
+    def start(self) -> None:
+        folder = Path(sys.executable).parent
+        for role in self._roles:
+            command = [str(folder / f"ros2-deepc-{role}"), "--executor", self._executor, *self._arguments]
+            self._children[role] = subprocess.Popen(command, env=self._env, stderr=subprocess.PIPE, text=True)
+
+    def failure(self) -> str:
+        for role, child in self._children.items():
+            if child.poll() is not None:
+                lines = (child.stderr.read() if child.stderr else "").strip().splitlines()
+                return f"the {role} process ended with code {child.returncode}: {lines[-1] if lines else 'no message'}"
+        return ""
+
+    def finish(self) -> None:
+        for role in sorted(self._children, key=lambda r: r == "recorder"):
+            child = self._children[role]
+            child.terminate()
+            try:
+                child.communicate(timeout=_STOP_SECONDS)
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.communicate()
+        self._children.clear()
