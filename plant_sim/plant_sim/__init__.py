@@ -6,6 +6,7 @@ from .descriptor import DescriptorSystem
 from .errors import InconsistentStateError, NotRegularError, PlantError, ShapeError, UnclearStructureError
 from .plant import Plant, StructurePrior
 from .power import wscc9
+from .water import net3
 
 __all__ = [
     "DescriptorSystem",
@@ -16,5 +17,6 @@ __all__ = [
     "ShapeError",
     "StructurePrior",
     "UnclearStructureError",
+    "net3",
     "wscc9",
 ]

@@ -31,7 +31,9 @@ def matrix(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
         a = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name} must be a real matrix: {error}") from None
-    if a.ndim != len(shape) or any(want is not None and have != want for have, want in zip(a.shape, shape, strict=True)):
+    if a.ndim != len(shape) or any(
+        want is not None and have != want for have, want in zip(a.shape, shape, strict=True)
+    ):
         wanted = ", ".join("any" if size is None else str(size) for size in shape)
         raise ShapeError(f"{name} must have shape ({wanted}), got {a.shape}")
     bad = np.argwhere(~np.isfinite(a))

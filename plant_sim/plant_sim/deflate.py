@@ -62,7 +62,9 @@ def equilibrate(E: Array, A: Array, sweeps: int = 3) -> tuple[Array, Array]:
             if not largest.all():
                 what, i = ("row", "equation") if axis == 1 else ("column", "unknown")
                 index = int(np.flatnonzero(largest == 0)[0])
-                raise NotRegularError(f"{what} {index} of E and A is zero: {i} {index} does not take part in the system")
+                raise NotRegularError(
+                    f"{what} {index} of E and A is zero: {i} {index} does not take part in the system"
+                )
             scale *= 2.0 ** -np.round(np.log2(largest))
     return rows, cols
 

@@ -22,7 +22,9 @@ def laplacian(n: int, edges: Sequence[tuple[int, int, float]]) -> Array:
     return L
 
 
-def swing_matrices(inertia: ArrayLike, damping: ArrayLike, L: Array, G: ArrayLike, tau: float) -> tuple[Array, Array, Array]:
+def swing_matrices(
+    inertia: ArrayLike, damping: ArrayLike, L: Array, G: ArrayLike, tau: float
+) -> tuple[Array, Array, Array]:
     """Euler-discretised linear swing equations with the network kept (paper, section 6.1; no Kron reduction).
 
     State (omega_1..g, theta_1..g, theta_g+1..N): theta+ = theta + tau omega, M omega+ = M omega - tau (D omega + L_gen theta - G u),

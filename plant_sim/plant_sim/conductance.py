@@ -1,0 +1,87 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""How much the flow of a link changes with the head across it: g = dQ/dh [m2/s] at a given flow."""
+
+from math import inf, log, log10, pi
+
+from .errors import PlantError
+from .hydraulics import CHECK_VALVE_PIPE, PIPE, PUMP, Link, Snapshot
+
+FOOT = 0.3048
+GRAVITY = 9.81456  # 32.2 ft/s2, EPANET's
+
+
+def _darcy_weisbach(link: Link, flow: float, viscosity: float) -> float:
+    """Friction head loss [m]; Swamee-Jain above Re = 4000, laminar below 2000, linear in Re between."""
+    reynolds = 4 * flow / (pi * link.diameter * viscosity)
+
+    def turbulent(Re: float) -> float:
+        relative = link.roughness / 1000 / link.diameter
+        return 0.25 / log10(relative / 3.7 + 5.74 / Re**0.9) ** 2
+
+    if reynolds <= 2000:
+        friction = 64 / reynolds
+    elif reynolds >= 4000:
+        friction = turbulent(reynolds)
+    else:
+        weight = (reynolds - 2000) / 2000
+        friction = (1 - weight) * 0.032 + weight * turbulent(4000.0)
+    return friction * link.length * 8 * flow**2 / (GRAVITY * pi**2 * link.diameter**5)
+
+
+def pipe_slope(link: Link, flow: float, formula: str, viscosity: float) -> float:
+    """dh/dQ [s/m2] of a pipe at ``flow`` > 0 [m3/s], friction plus minor loss."""
+    minor = 2 * link.minor_loss * 8 * flow / (GRAVITY * pi**2 * link.diameter**4)
+    if formula == "DW":
+        step = 1e-5 * flow
+        rise = _darcy_weisbach(link, flow + step, viscosity) - _darcy_weisbach(link, flow - step, viscosity)
+        return rise / (2 * step) + minor
+    length, diameter = link.length / FOOT, link.diameter / FOOT
+    if formula == "HW":
+        exponent, resistance = 1.852, 4.727 * length / (link.roughness**1.852 * diameter**4.871)
+    else:  # Chezy-Manning
+        exponent, resistance = 2.0, 4.66 * length * link.roughness**2 / diameter**5.33
+    cfs = flow / FOOT**3
+    return exponent * resistance * cfs ** (exponent - 1) / FOOT**2 + minor
+
+
+def pump_slope(link: Link, flow: float, gain: float) -> float:
+    """-dh/dQ [s/m2] of a pump's head curve at ``flow`` > 0 [m3/s] and head gain ``gain`` [m]."""
+    if link.constant_power:
+        return gain / flow
+    points = link.curve
+    if len(points) == 1:
+        (q1, h1), exponent = points[0], 2.0
+        factor = h1 / 3 / q1**2
+    elif len(points) == 3 and points[0][0] == 0:
+        (_, h0), (q1, h1), (q2, h2) = points
+        exponent = log((h0 - h2) / (h0 - h1)) / log(q2 / q1)
+        factor = (h0 - h1) / q1**exponent
+    else:
+        return _piecewise_slope(link, flow)
+    return factor * exponent * link.speed ** (2 - exponent) * flow ** (exponent - 1)
+
+
+def _piecewise_slope(link: Link, flow: float) -> float:
+    """-dh/dQ of a curve given by points: the affinity laws scale flow by the speed and head by its square."""
+    at = flow / link.speed
+    segments = list(zip(link.curve, link.curve[1:], strict=False))
+    for (q1, h1), (q2, h2) in segments:
+        if at <= q2 or (q2, h2) == link.curve[-1]:
+            return (h1 - h2) / (q2 - q1) * link.speed
+    raise PlantError(f"the head curve of pump {link.name} has a single point that is not a design point")
+
+
+def conductance(link: Link, network: Snapshot, flow_floor: float = 1e-5) -> float:
+    """g = dQ/dh [m2/s] of an open link at the network's steady state, |Q| floored at ``flow_floor``; 0 if the link is closed."""
+    if not link.open:
+        return 0.0
+    flow = max(abs(link.flow), flow_floor)
+    heads = [network.nodes[i].head for i in link.ends]
+    if link.kind == PUMP:
+        slope = pump_slope(link, flow, abs(heads[1] - heads[0]))
+    elif link.kind in (PIPE, CHECK_VALVE_PIPE):
+        slope = pipe_slope(link, flow, network.formula, network.viscosity)
+    else:
+        slope = 2 * abs(heads[1] - heads[0]) / flow
+    return 1 / slope if slope > 0 else inf

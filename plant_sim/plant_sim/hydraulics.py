@@ -1,0 +1,190 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A steady state of a water network, computed by EPANET itself, in SI units."""
+
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .errors import PlantError
+
+# EPANET's own numbers for the kinds of nodes and links
+JUNCTION, RESERVOIR, TANK = 0, 1, 2
+CHECK_VALVE_PIPE, PIPE, PUMP = 0, 1, 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Node:
+    """A junction, reservoir or tank; head in m, area in m2 (0 unless a tank)."""
+
+    name: str
+    kind: int
+    head: float
+    area: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Link:
+    """A pipe, pump or valve; flow in m3/s from node ``ends[0]`` to ``ends[1]`` (0-based), lengths in m.
+
+    ``curve`` holds the points (m3/s, m) of a pump's head curve, ``constant_power`` marks a pump without one.
+    """
+
+    name: str
+    kind: int
+    ends: tuple[int, int]
+    flow: float
+    open: bool
+    length: float = 0.0
+    diameter: float = 0.0
+    roughness: float = 0.0
+    minor_loss: float = 0.0
+    speed: float = 1.0
+    curve: tuple[tuple[float, float], ...] = ()
+    constant_power: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """The network at one instant. ``formula`` is "HW", "DW" or "CM"; ``viscosity`` in m2/s."""
+
+    nodes: tuple[Node, ...]
+    links: tuple[Link, ...]
+    formula: str
+    viscosity: float
+    hour: float
+    warnings: tuple[str, ...] = field(default=())
+
+    def index(self, name: str) -> int:
+        """Index of the node called ``name``.
+
+        Raises:
+            PlantError: if there is none.
+        """
+        for i, node in enumerate(self.nodes):
+            if node.name == name:
+                return i
+        raise PlantError(f"the network has no node {name!r}")
+
+
+def _toolkit() -> Any:
+    """EPANET; imported late, so that plants without water do not need it."""
+    from epanet import toolkit
+
+    return toolkit
+
+
+@contextmanager
+def project(path: Path) -> Iterator[Any]:
+    """An open EPANET project handle in SI units (m3/s, m); closed on leaving.
+
+    Raises:
+        PlantError: if the file is missing or EPANET rejects it.
+    """
+    toolkit = _toolkit()
+    if not path.is_file():
+        raise PlantError(f"no such file: {path}")
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder) / "report.txt"
+        handle = toolkit.createproject()
+        try:
+            try:
+                toolkit.open(handle, str(path), str(report), "")
+            except Exception as error:
+                complaints = [
+                    line.strip() for line in report.read_text(errors="replace").splitlines() if "Error" in line
+                ]
+                detail = "; ".join(complaints[:3]) or str(error)
+                raise PlantError(f"EPANET cannot read {path.name}: {detail}") from None
+            toolkit.setflowunits(handle, toolkit.CMS)
+            yield handle
+            toolkit.close(handle)
+        finally:
+            toolkit.deleteproject(handle)
+
+
+def _solve(handle: Any, hour: float, name: str) -> list[str]:
+    """Runs EPANET's own schedule up to ``hour``; returns its warnings at that instant."""
+    toolkit = _toolkit()
+    toolkit.setoption(handle, toolkit.ACCURACY, 1e-8)
+    toolkit.setoption(handle, toolkit.TRIALS, 500)
+    target = round(hour * 3600)
+    toolkit.settimeparam(handle, toolkit.DURATION, target)
+    toolkit.openH(handle)
+    toolkit.initH(handle, 0)
+    while True:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                time = toolkit.runH(handle)
+            except Exception as error:
+                raise PlantError(f"EPANET finds no steady state of {name} up to hour {hour:g}: {error}") from None
+        if time >= target or toolkit.nextH(handle) <= 0:
+            break
+    if time != target:
+        raise PlantError(f"{name} has no instant at hour {hour:g}: EPANET stopped at {time / 3600:g} h")
+    relative = toolkit.getstatistic(handle, toolkit.RELATIVEERROR)
+    if not relative <= 1e-6:
+        raise PlantError(f"EPANET does not converge on {name} at hour {hour:g}: relative flow change {relative:.1e}")
+    return [str(w.message) for w in caught]
+
+
+def _curve(handle: Any, index: int) -> tuple[tuple[float, float], ...]:
+    toolkit = _toolkit()
+    count = toolkit.getcurvelen(handle, index)
+    return tuple(tuple(toolkit.getcurvevalue(handle, index, i)) for i in range(1, count + 1))
+
+
+def _link(handle: Any, index: int) -> Link:
+    toolkit = _toolkit()
+
+    def value(name: str) -> float:
+        return float(toolkit.getlinkvalue(handle, index, getattr(toolkit, name)))
+
+    kind = toolkit.getlinktype(handle, index)
+    first, second = toolkit.getlinknodes(handle, index)
+    common: dict[str, Any] = {
+        "name": toolkit.getlinkid(handle, index), "kind": kind, "ends": (first - 1, second - 1),
+        "flow": value("FLOW"), "open": value("STATUS") != 0,
+    }  # fmt: skip
+    if kind == PUMP:
+        constant = toolkit.getpumptype(handle, index) == toolkit.CONST_HP
+        curve = () if constant else _curve(handle, toolkit.getheadcurveindex(handle, index))
+        return Link(**common, speed=value("SETTING"), curve=curve, constant_power=constant)
+    pipe = {"length": value("LENGTH"), "roughness": value("ROUGHNESS")} if kind in (PIPE, CHECK_VALVE_PIPE) else {}
+    return Link(**common, **pipe, diameter=value("DIAMETER") / 1000, minor_loss=value("MINORLOSS"))
+
+
+def _node(handle: Any, index: int) -> Node:
+    toolkit = _toolkit()
+    kind = toolkit.getnodetype(handle, index)
+    diameter = toolkit.getnodevalue(handle, index, toolkit.TANKDIAM) if kind == TANK else 0.0
+    return Node(
+        name=toolkit.getnodeid(handle, index),
+        kind=kind,
+        head=toolkit.getnodevalue(handle, index, toolkit.HEAD),
+        area=3.141592653589793 * diameter**2 / 4,
+    )
+
+
+def snapshot(path: str | Path, hour: float) -> Snapshot:
+    """EPANET's steady state at ``hour`` of the file's own schedule.
+
+    Raises:
+        PlantError: if the file is missing, broken, or EPANET does not converge.
+    """
+    path = Path(path)
+    with project(path) as handle:
+        toolkit = _toolkit()
+        complaints = _solve(handle, hour, path.name)
+        nodes = tuple(_node(handle, i + 1) for i in range(toolkit.getcount(handle, toolkit.NODECOUNT)))
+        links = tuple(_link(handle, i + 1) for i in range(toolkit.getcount(handle, toolkit.LINKCOUNT)))
+        formula = ("HW", "DW", "CM")[int(toolkit.getoption(handle, toolkit.HEADLOSSFORM))]
+        viscosity = toolkit.getoption(handle, toolkit.SP_VISCOS) * 1.02193e-6
+    return Snapshot(
+        nodes=nodes, links=links, formula=formula, viscosity=viscosity, hour=hour, warnings=tuple(complaints)
+    )  # fmt: skip
