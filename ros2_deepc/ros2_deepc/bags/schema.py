@@ -7,6 +7,7 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 
 from .errors import BagError
@@ -35,11 +36,13 @@ def message_definition(name: str, search: Sequence[Path] | None = None) -> str:
     Raises:
         BagError: if a type's file is in none of the folders.
     """
-    folders = _installed() if search is None else list(search)
-    root = _short(name)
+    return _concatenated(_short(name), tuple(_installed() if search is None else search))
+
+
+@lru_cache(maxsize=256)
+def _concatenated(root: str, folders: tuple[Path, ...]) -> str:
     parts = [_text(root, folders)]
-    seen = {root}
-    _append_dependencies(root, parts[0], folders, seen, parts)
+    _append_dependencies(root, parts[0], folders, {root}, parts)
     return "\n".join(parts)
 
 
@@ -48,7 +51,7 @@ def _installed() -> list[Path]:
     return [Path(prefix) / "share" for prefix in dict.fromkeys(filter(None, prefixes))]
 
 
-def _append_dependencies(name: str, text: str, folders: list[Path], seen: set[str], parts: list[str]) -> None:
+def _append_dependencies(name: str, text: str, folders: tuple[Path, ...], seen: set[str], parts: list[str]) -> None:
     for dependency in sorted(set(dependencies(text, name.split("/")[0]))):
         if dependency not in seen:
             seen.add(dependency)
@@ -71,7 +74,7 @@ def _short(name: str) -> str:
 
 
 def type_hash(name: str, search: Sequence[Path] | None = None) -> str:
-    """The RIHS01 hash of an installed message type (REP 2011), from the description its package installs; "" if none."""
+    """The RIHS01 hash (REP 2011) of an installed message type, as its package states it; "" if it does not."""
     package, *_, kind = name.split("/")
     for folder in _installed() if search is None else search:
         path = folder / package / "msg" / f"{kind}.json"
@@ -81,7 +84,7 @@ def type_hash(name: str, search: Sequence[Path] | None = None) -> str:
     return ""
 
 
-def _text(name: str, folders: list[Path]) -> str:
+def _text(name: str, folders: tuple[Path, ...]) -> str:
     package, kind = name.split("/")
     for folder in folders:
         path = folder / package / "msg" / f"{kind}.msg"
