@@ -6,6 +6,7 @@ from .descriptor import DescriptorSystem
 from .errors import InconsistentStateError, NotRegularError, PlantError, ShapeError, UnclearStructureError
 from .plant import Plant, StructurePrior
 from .power import wscc9
+from .random_systems import Planted, random_system
 from .water import net3
 
 __all__ = [
@@ -14,9 +15,11 @@ __all__ = [
     "NotRegularError",
     "Plant",
     "PlantError",
+    "Planted",
     "ShapeError",
     "StructurePrior",
     "UnclearStructureError",
     "net3",
+    "random_system",
     "wscc9",
 ]

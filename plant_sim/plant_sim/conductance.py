@@ -42,7 +42,7 @@ def pipe_slope(link: Link, flow: float, formula: str, viscosity: float) -> float
     else:  # Chezy-Manning
         exponent, resistance = 2.0, 4.66 * length * link.roughness**2 / diameter**5.33
     cfs = flow / FOOT**3
-    return exponent * resistance * cfs ** (exponent - 1) / FOOT**2 + minor
+    return float(exponent * resistance * cfs ** (exponent - 1) / FOOT**2 + minor)
 
 
 def pump_slope(link: Link, flow: float, gain: float) -> float:
@@ -59,7 +59,7 @@ def pump_slope(link: Link, flow: float, gain: float) -> float:
         factor = (h0 - h1) / q1**exponent
     else:
         return _piecewise_slope(link, flow)
-    return factor * exponent * link.speed ** (2 - exponent) * flow ** (exponent - 1)
+    return float(factor * exponent * link.speed ** (2 - exponent) * flow ** (exponent - 1))
 
 
 def _piecewise_slope(link: Link, flow: float) -> float:
@@ -73,7 +73,7 @@ def _piecewise_slope(link: Link, flow: float) -> float:
 
 
 def conductance(link: Link, network: Snapshot, flow_floor: float = 1e-5) -> float:
-    """g = dQ/dh [m2/s] of an open link at the network's steady state, |Q| floored at ``flow_floor``; 0 if the link is closed."""
+    """dQ/dh [m2/s] of a link at the network's steady state, |Q| floored at ``flow_floor``; 0 if the link is closed."""
     if not link.open:
         return 0.0
     flow = max(abs(link.flow), flow_floor)

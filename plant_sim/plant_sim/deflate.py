@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Splitting the infinite eigenvalues off a pencil zE - A by rank decisions.
 
-Infinite eigenvalues of index s come out of QZ as finite ones of size eps^(-1/s), so no threshold on QZ's output can find them.
-The staircase here decides ranks on the data instead, by orthogonal transformations with exact zeros imposed: what it returns is the
-exact split of a pencil within rounding of the given one (Van Dooren, Linear Algebra Appl. 27, 1979).
+Infinite eigenvalues of index s come out of QZ as finite ones of size eps^(-1/s): no threshold on QZ's output finds
+them. The staircase here decides ranks on the data instead, by orthogonal transformations with exact zeros imposed: what
+it returns is the exact split of a pencil within rounding of the given one (Van Dooren, Linear Algebra Appl. 27, 1979).
 """
 
 from dataclasses import dataclass
@@ -118,8 +118,8 @@ def deflate(E: Array, A: Array, tolerance: float | None = None) -> Deflation:
         weakest = float(linalg.svd(R[:nullity], compute_uv=False)[-1]) / max(norm_A, 1e-300)
         if weakest <= tolerance:
             raise NotRegularError(
-                f"the pencil zE - A is singular: det(zE - A) = 0 for every z up to a relative change of {weakest:.1e} of A "
-                "(an unknown is missing from the equations, or an equation is repeated)"
+                f"the pencil zE - A is singular: det(zE - A) vanishes for every z after a relative "
+                f"change of {weakest:.1e} of A (an unknown is missing from the equations, or an equation is repeated)"
             )
         E[start:], A[start:], U[:, start:] = Q.T @ E[start:], Q.T @ A[start:], U[:, start:] @ Q
         E[start:, start:stop], A[start:, start:stop] = 0.0, np.triu(R)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
-from threadpoolctl import threadpool_limits
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from .arrays import Array, matrix
 from .deflate import Deflation, deflate
@@ -65,7 +65,7 @@ class DescriptorSystem:
     @property
     def m(self) -> int:
         """Number of inputs."""
-        return self.B.shape[1]
+        return int(self.B.shape[1])
 
     @property
     def p(self) -> int:
@@ -85,8 +85,9 @@ class DescriptorSystem:
         """Quasi-Weierstrass form (paper, section 2); computed once.
 
         Args:
-            tolerance: relative singular value of the equilibrated E (and of its successive parts) up to which a rank decision takes
-                zero. By default 100 n eps, and a decision without a clear gap is refused; a given tolerance decides whatever the gap.
+            tolerance: singular values of the equilibrated E (and of its parts) up to this fraction of its norm
+                count as zero. By default 100 n eps, and a decision without a clear gap is refused; a given tolerance
+                decides whatever the gap.
 
         Raises:
             UnclearStructureError: if the split between finite and infinite eigenvalues is hidden by rounding.
@@ -96,8 +97,9 @@ class DescriptorSystem:
         return self._decompose(deflate(self.E, self.A, tolerance))
 
     def slow_state(self, x: ArrayLike) -> Array:
-        """z1 of a state x, shape (n,) -> (q,). It depends on E x only, so algebraic unknowns in ``x`` may hold anything."""
-        return self.weierstrass().S[: self.weierstrass().q] @ (self.E @ matrix(x, "x", (self.n,)))
+        """Slow part z1 of a state, shape (n,) -> (q,). It depends on E x only: algebraic unknowns may hold anything."""
+        form = self.weierstrass()
+        return form.S[: form.q] @ (self.E @ matrix(x, "x", (self.n,)))
 
     def structure(self) -> "Structure":
         """Controllability, observability, conserved quantities: see `plant_sim.structure.structure`."""

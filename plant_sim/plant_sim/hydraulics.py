@@ -155,7 +155,9 @@ def _link(handle: Any, index: int) -> Link:
         constant = toolkit.getpumptype(handle, index) == toolkit.CONST_HP
         curve = () if constant else _curve(handle, toolkit.getheadcurveindex(handle, index))
         return Link(**common, speed=value("SETTING"), curve=curve, constant_power=constant)
-    pipe = {"length": value("LENGTH"), "roughness": value("ROUGHNESS")} if kind in (PIPE, CHECK_VALVE_PIPE) else {}
+    pipe: dict[str, Any] = {"length": value("LENGTH"), "roughness": value("ROUGHNESS")}
+    if kind not in (PIPE, CHECK_VALVE_PIPE):
+        pipe = {}
     return Link(**common, **pipe, diameter=value("DIAMETER") / 1000, minor_loss=value("MINORLOSS"))
 
 

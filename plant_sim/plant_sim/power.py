@@ -27,8 +27,8 @@ def swing_matrices(
 ) -> tuple[Array, Array, Array]:
     """Euler-discretised linear swing equations with the network kept (paper, section 6.1; no Kron reduction).
 
-    State (omega_1..g, theta_1..g, theta_g+1..N): theta+ = theta + tau omega, M omega+ = M omega - tau (D omega + L_gen theta - G u),
-    0 = L_load theta.
+    State (omega_1..g, theta_1..g, theta_g+1..N): theta+ = theta + tau omega,
+    M omega+ = M omega - tau (D omega + L_gen theta - G u), 0 = L_load theta.
 
     Args:
         inertia: M, shape (g,).
@@ -61,20 +61,20 @@ WSCC9_EDGES = (
 TRANSFERS = ((1, 1, 0), (-1, 0, 1), (0, -1, -1))
 _WSCC9 = {
     "full": (np.eye(3), ("P1", "P2", "P3"), "x7", (5.0, 5.0), "one power injection at each machine"),
-    "transfers": (TRANSFERS, ("P12", "P13", "P23"), "c0", (5.0, 5.0), "power transfers between machine pairs, which cannot move c0"),
-    "text": (TRANSFERS, ("P12", "P13", "P23"), "x7", (5.0, 0.0), "power transfers between machine pairs, outputs as printed in the paper"),
+    "transfers": (TRANSFERS, ("P12", "P13", "P23"), "c0", (5.0, 5.0), "power transfers between machine pairs"),
+    "text": (TRANSFERS, ("P12", "P13", "P23"), "x7", (5.0, 0.0), "power transfers between machine pairs"),
 }  # fmt: skip
 
 
 def wscc9(variant: str = "transfers") -> Plant:
     """The paper's first case: the WSCC 9-bus grid with 3 machines, 0.1 s, published weights.
 
-    x = (omega_1..3, theta_1..9). Output x1 is the speed of machine 1; c0 = (sum M_i omega_i + sum D_i theta_i) / sum D_i is conserved
-    by every transfer; x7 is the angle at bus 4.
+    x = (omega_1..3, theta_1..9). Output x1 is the speed of machine 1;
+    c0 = (sum M_i omega_i + sum D_i theta_i) / sum D_i is conserved by every transfer; x7 is the angle at bus 4.
 
     Args:
-        variant: "transfers" (inputs move power between machine pairs, outputs x1 and c0), "text" (the same inputs, the paper's
-            outputs x1 and x7), or "full" (an input at each machine, outputs x1 and x7).
+        variant: "transfers" (inputs move power between machine pairs, outputs x1 and c0), "text" (the same inputs, the
+            paper's outputs x1 and x7), or "full" (an input at each machine, outputs x1 and x7).
 
     Raises:
         PlantError: if the variant is not known.
@@ -83,7 +83,7 @@ def wscc9(variant: str = "transfers") -> Plant:
         raise PlantError(f"wscc9 has no variant {variant!r}: choose {', '.join(_WSCC9)}")
     G, inputs, second, Q, story = _WSCC9[variant]
     M, D = np.array(WSCC9_INERTIA), np.array(WSCC9_DAMPING)
-    E, A, B = swing_matrices(M, D, laplacian(9, WSCC9_EDGES), G, 0.1)
+    E, A, B = swing_matrices(M, D, laplacian(9, WSCC9_EDGES), np.array(G), 0.1)
     C = np.zeros((2, 12))
     C[0, 0] = 1.0
     if second == "x7":

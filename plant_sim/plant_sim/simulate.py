@@ -22,7 +22,7 @@ class Trajectory:
         u: inputs, shape (T, m).
         y: outputs, measurement noise included, shape (T, p).
         x: states, shape (T, n).
-        inconsistency: distance of a given x(0) from the consistent x(0) used, relative to its size; 0 if none was given.
+        inconsistency: distance of a given x(0) from the consistent x(0) used, relative; 0 if none was given.
     """
 
     u: Array
@@ -91,7 +91,8 @@ def simulate(
         z10: slow state z1(0) in the coordinates of `DescriptorSystem.weierstrass`, shape (q,); default 0.
         x0: or a full state x(0), shape (n,). Its slow part is used; its fast part is fixed by the inputs.
         tolerance: largest accepted inconsistency of ``x0``, relative; inf accepts any.
-        process_noise: standard deviation of a white disturbance w with E x(k+1) = A x(k) + B u(k) + w(k), number or shape (n,).
+        process_noise: standard deviation of a white disturbance w in E x(k+1) = A x(k) + B u(k) + w(k); a number
+            or shape (n,).
         measurement_noise: standard deviation of white noise on y, number or shape (p,).
         rng: generator of the noise; required with it.
 
@@ -127,10 +128,13 @@ def simulate(
     x = _states(form, z1, v)
     gap = 0.0
     if x0 is not None:
-        gap = float(np.linalg.norm(x[0] - x0) / max(np.linalg.norm(x[0]), np.linalg.norm(x0), 1e-300))
+        given = np.asarray(x0, dtype=np.float64)
+        size = max(float(np.linalg.norm(x[0])), float(np.linalg.norm(given)), 1e-300)
+        gap = float(np.linalg.norm(x[0] - given)) / size
         if gap > tolerance:
             raise InconsistentStateError(
-                f"x(0) contradicts the algebraic equations: relative distance {gap:.1e} from the nearest state of the same slow part "
-                f"(accepted up to {tolerance:.0e}); give z1(0), or tolerance=inf to project"
+                f"x(0) contradicts the algebraic equations: relative distance {gap:.1e} from the "
+                f"consistent state with the same slow part (accepted up to {tolerance:.0e}); "
+                "give z1(0), or tolerance=inf to project"
             )
     return Trajectory(u=frozen(inputs[:T].copy()), y=frozen(y), x=frozen(x), inconsistency=gap)

@@ -23,8 +23,9 @@ class Stepper(Protocol):
 class LinearStepper:
     """Restriction of an infinite trajectory (paper, (2_4) and (2_6)), one sample at a time.
 
-    z1(k+1) = A1 z1(k) + B1 u(k), y(k) = C1 z1(k) + sum_{i<s} P_i u(k+i). Both come from one product of a constant matrix with
-    [z1(k); u(k); ...; u(k+s-1)], summed column after column: no BLAS, hence the same bits in every process and with any number of threads.
+    z1(k+1) = A1 z1(k) + B1 u(k), y(k) = C1 z1(k) + sum_{i<s} P_i u(k+i). Both come from one
+    product of a constant matrix with [z1(k); u(k); ...; u(k+s-1)], summed column after column: no BLAS, hence the same
+    bits in every process and with any number of threads.
     """
 
     def __init__(
@@ -37,8 +38,8 @@ class LinearStepper:
     ) -> None:
         """Starts at z1(0) = ``z10``, shape (q,).
 
-        ``form`` may have been extended by noise inputs (see `simulate`); ``outputs_noise`` is the standard deviation of white
-        measurement noise, shape (p,), drawn from ``rng`` after each output.
+        ``form`` may have been extended by noise inputs (see `simulate`); ``outputs_noise`` is the standard deviation of
+        white measurement noise, shape (p,), drawn from ``rng`` after each output.
         """
         q, p, m, s = form.q, len(form.D), form.D.shape[1], form.s
         rows = np.zeros((q + p, q + s * m))

@@ -101,12 +101,13 @@ _NET3_INPUTS = {
 def net3(hour: int = 5, inputs: str = "junction") -> Plant:
     """The paper's second case: EPANET's Net3, linearised at ``hour`` of its own schedule, one sample each 0.1 day.
 
-    States are deviation heads [m]: River (R2), Lake (R1), tanks 1, 2, 3, junctions 60, 61, the other 90. Both reservoirs are constants
-    unless an input moves them. u2 = 1 is an injection of 1 m3/s at junction 60.
+    States are deviation heads [m]: River (R2), Lake (R1), tanks 1, 2, 3, junctions 60, 61, the other 90. Both
+    reservoirs are constants unless an input moves them. u2 = 1 is an injection of 1 m3/s at junction 60.
 
     Args:
         hour: 5 (all pipes flow) or 2 (both pumps on); others work as far as EPANET goes.
-        inputs: "junction" (the paper: only u2 acts), "river" (u1 also raises the River, by u1 metres a sample), or "all" (and u3 the Lake).
+        inputs: "junction" (the paper: only u2 acts), "river" (u1 also raises the River, by u1 metres a sample), or
+            "all" (and u3 the Lake).
 
     Raises:
         PlantError: if ``inputs`` is not known or EPANET finds no steady state at ``hour``.
@@ -126,8 +127,8 @@ def net3(hour: int = 5, inputs: str = "junction") -> Plant:
         name="net3",
         variant=inputs,
         description=(
-            f"EPANET Net3 at hour {hour}: 2 reservoirs, 3 tanks, 92 junctions; deviation heads of the Lake (R1) and of tank 3 (T3), "
-            "driven by an injection at junction 60."
+            f"EPANET Net3 at hour {hour}: 2 reservoirs, 3 tanks, 92 junctions; deviation heads of the Lake (R1) and of "
+            "tank 3 (T3), driven by an injection at junction 60."
         ),
         sample_time=tau,
         system=system,

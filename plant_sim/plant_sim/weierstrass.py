@@ -17,7 +17,8 @@ from .errors import UnclearStructureError
 class Weierstrass:
     """S E P = diag(I_q, N), S A P = diag(A1, I_r), S B = [B1; B2], C P = [C1, C2] (paper, section 2).
 
-    The form is unique up to a change of basis in each part; here the slow and the fast columns of P are orthonormal each.
+    The form is unique up to a change of basis in each part; here the slow columns of P are orthonormal, so are
+    the fast ones.
 
     Attributes:
         q: number of finite eigenvalues, the order of the slow part.
@@ -32,8 +33,7 @@ class Weierstrass:
         B2: shape (r, m).
         C2: shape (p, r).
         D: shape (p, m).
-        residual_E: largest entry of |S E P - diag(I, N)|.
-        residual_A: largest entry of |S A P - diag(A1, I)|.
+        residuals: largest entries of |S E P - diag(I, N)| and of |S A P - diag(A1, I)|.
         decisions: the rank decisions behind r and s.
     """
 
@@ -49,8 +49,7 @@ class Weierstrass:
     B2: Array
     C2: Array
     D: Array
-    residual_E: float
-    residual_A: float
+    residuals: tuple[float, float]
     decisions: tuple[RankDecision, ...]
 
     def markov(self) -> Array:
@@ -68,17 +67,18 @@ def require_clear(decisions: tuple[RankDecision, ...]) -> None:
     for stage, d in enumerate(decisions, 1):
         if not d.clear:
             raise UnclearStructureError(
-                f"finite and infinite eigenvalues cannot be told apart: at stage {stage} E has a relative singular value {d.kept:.1e} "
-                f"(next {d.dropped:.1e}, tolerance {d.tolerance:.1e}); pass weierstrass(tolerance=...) above or below it to decide"
+                f"finite and infinite eigenvalues cannot be told apart: at stage {stage} E has a relative singular "
+                f"value {d.kept:.1e} (next {d.dropped:.1e}, tolerance {d.tolerance:.1e}); pass "
+                "weierstrass(tolerance=...) above or below it to decide"
             )
 
 
-def _decouple(d: Deflation) -> tuple[Array, Array, Array, Array]:
-    """Block-diagonalises the deflated pencil: bases (left, right) of shape (n, n) and the blocks (A22, E22) after QZ."""
+def _decouple(d: Deflation) -> tuple[Array, Array, Array]:
+    """Block-diagonalises the deflated pencil: bases (left, right) of shape (n, n), infinite part first; E22."""
     n, r = len(d.E), d.r
     left, right = d.U.T * d.rows, d.cols[:, None] * d.V
     if r == n:
-        return left, right, np.empty((0, 0)), np.empty((0, 0))
+        return left, right, np.empty((0, 0))
     A22, E22, Q, Z = linalg.qz(d.A[r:, r:], d.E[r:, r:], output="real")
     left[r:], right[:, r:] = Q.T @ left[r:], right[:, r:] @ Z
     if r > 0:
@@ -89,7 +89,15 @@ def _decouple(d: Deflation) -> tuple[Array, Array, Array, Array]:
             raise UnclearStructureError("finite and infinite eigenvalues lie too close together to be separated")
         right[:, r:] += right[:, :r] @ (X / scale)
         left[:r] -= (Y / scale) @ left[r:]
-    return left, right, A22, E22
+    return left, right, np.asarray(E22, dtype=np.float64)
+
+
+def _nilpotent(A11: Array, E11: Array, R: Array) -> Array:
+    """R A11^-1 E11 R^-1 by triangular solves, which keep its zeros: N^s vanishes to the last bit."""
+    if not len(R):
+        return R
+    inner = linalg.solve_triangular(A11, E11)
+    return np.ascontiguousarray(linalg.solve_triangular(R, (R @ inner).T, trans="T").T)
 
 
 def weierstrass(E: Array, A: Array, B: Array, C: Array, D: Array, deflation: Deflation) -> Weierstrass:
@@ -108,7 +116,7 @@ def weierstrass(E: Array, A: Array, B: Array, C: Array, D: Array, deflation: Def
     """
     n, r = len(E), deflation.r
     q = n - r
-    left, right, A22, E22 = _decouple(deflation)
+    left, right, E22 = _decouple(deflation)
     fast, R2 = linalg.qr(right[:, :r], mode="economic") if r else (right[:, :0], np.empty((0, 0)))
     slow, R1 = linalg.qr(right[:, r:], mode="economic") if q else (right[:, :0], np.empty((0, 0)))
     # right[:, r:] = slow R1, so z1 = R1 (old coordinates): S rows for the slow part are R1 E22^-1 left
@@ -117,16 +125,17 @@ def weierstrass(E: Array, A: Array, B: Array, C: Array, D: Array, deflation: Def
         R2 @ linalg.solve_triangular(deflation.A[:r, :r], left[:r]) if r else left[:0],
     ])  # fmt: skip
     P = np.hstack([slow, fast])
-    A1, N = S[:q] @ A @ slow, S[q:] @ E @ fast
-    if len(deflation.stages) <= 1:
-        N = np.zeros_like(N)
+    A1 = S[:q] @ A @ slow
+    N = _nilpotent(deflation.A[:r, :r], deflation.E[:r, :r], R2)
     target_E, target_A = linalg.block_diag(np.eye(q), N), linalg.block_diag(A1, np.eye(r))
     SB, CP = S @ B, C @ P
     return Weierstrass(
         q=q, r=r, s=max(1, len(deflation.stages)),
         S=frozen(S), P=frozen(P), A1=frozen(A1), N=frozen(N), D=D,
         B1=frozen(SB[:q]), B2=frozen(SB[q:]), C1=frozen(CP[:, :q]), C2=frozen(CP[:, q:]),
-        residual_E=float(np.abs(S @ E @ P - target_E).max(initial=0.0)),
-        residual_A=float(np.abs(S @ A @ P - target_A).max(initial=0.0)),
+        residuals=(
+            float(np.abs(S @ E @ P - target_E).max(initial=0.0)),
+            float(np.abs(S @ A @ P - target_A).max(initial=0.0)),
+        ),
         decisions=deflation.decisions,
     )  # fmt: skip
