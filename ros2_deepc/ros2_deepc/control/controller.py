@@ -28,8 +28,8 @@ class DeepcController:
         if controller.ready:
             result = controller.step(y_ref) # result.u is u(k+s)
 
-    With index s >= 2 the outputs y(k) exist only once u(k+s-1) is known, so u(k+1), ..., u(k+s-1) are already decided: the
-    controller takes its own answers for them, or what `commit` tells it.
+    With index s >= 2 the outputs y(k) exist only once u(k+s-1) is known, so u(k+1), ..., u(k+s-1) are already decided:
+    the controller takes its own answers for them, or what `commit` tells it.
 
     Args:
         m: number of inputs.
@@ -148,13 +148,13 @@ class DeepcController:
         self._ahead, self._answer, self._plan = [], None, None
 
     def prepare(self) -> None:
-        """Does the work of the next step that does not need its sample. Call it once the command is out, or not at all."""
+        """Does the work of the next step that does not need its sample; best called once the command is out."""
         if self._program is not None or self._data.missing():
             return
         begin = perf_counter()
         s, m = self._sized.base, self._sized.m
         last = slice(m * (s.N + s.s - 2), m * (s.N + s.s - 1))
-        self._program = condense(self._data.predictor(), self._sized, last)
+        self._program = condense(self._data.predictor(), self._sized, last, s.terminal)
         self._solver.load(self._program.H, self._program.A)
         self._prepare_time = perf_counter() - begin
 
@@ -178,7 +178,7 @@ class DeepcController:
         w = self._known()
         self.prepare()
         program = self._program
-        assert program is not None  # noqa: S101  (prepare has just built it)
+        assert program is not None  # missing() was empty, so prepare built it
         theta = np.concatenate([w, goal.ravel()])
         f = program.f0 + program.f_theta @ theta
         move = np.concatenate([np.zeros(f.size), program.shift @ theta])
@@ -188,10 +188,9 @@ class DeepcController:
         u_plan = (program.inputs @ answer.x).reshape(-1, self._sized.m)
         y_plan = (program.outputs @ answer.x + program.outputs_theta @ theta).reshape(-1, self._sized.p)
         self._plan = (self._instant, u_plan, y_plan)
-        steady = answer.x[program.variables.steady]
         status = Status.SOLVED if which == 0 else Status.SECOND_SOLVER
         return self._result(
-            status, complaint, u_plan, y_plan, goal, steady, answer.iterations, self._solver.solvers[which].name, begin
+            status, complaint, u_plan, y_plan, goal, answer.iterations, self._solver.solvers[which].name, begin
         )
 
     # Inside
@@ -209,11 +208,12 @@ class DeepcController:
         return np.array(np.broadcast_to(a, (L, p)))
 
     def _known(self) -> Array:
-        """w = [past and committed inputs; past outputs]."""
+        """What the plan starts from: [past and committed inputs; past outputs]."""
         ahead = self._sized.base.s - 1
         if len(self._ahead) < ahead:
+            lacking = ahead - len(self._ahead)
             raise NotReadyError(
-                f"not ready: with s = {ahead + 1}, commit() the {ahead - len(self._ahead)} input(s) that follow the last sample"
+                f"not ready: with s = {ahead + 1}, commit() the {lacking} input(s) after the last sample"
             )
         past = self._recent.newest()
         return np.concatenate([past.u.ravel(), *self._ahead[:ahead], past.y.ravel()])
@@ -226,11 +226,11 @@ class DeepcController:
             u_plan, y_plan = self._plan[1], self._plan[2]
             u_plan = np.vstack([u_plan[age:], np.tile(u_plan[-1], (age, 1))])
             y_plan = np.vstack([y_plan[age:], np.full((age, p), np.nan)])
-            return self._result(Status.SHIFTED_PLAN, complaint, u_plan, y_plan, goal, np.empty(0), 0, "", begin)
+            return self._result(Status.SHIFTED_PLAN, complaint, u_plan, y_plan, goal, 0, "", begin)
         held = self._last if self._last is not None else np.zeros(m)
         u = held if self._sized.base.fallback == "hold" else self._sized.u_safe
         nothing = np.full((L, p), np.nan)
-        return self._result(Status.FALLBACK, complaint, np.tile(u, (L, 1)), nothing, goal, np.empty(0), 0, "", begin)
+        return self._result(Status.FALLBACK, complaint, np.tile(u, (L, 1)), nothing, goal, 0, "", begin)
 
     def _result(
         self,
@@ -239,7 +239,6 @@ class DeepcController:
         u_plan: Array,
         y_plan: Array,
         goal: Array,
-        y_steady: Array,
         iterations: int,
         solver: str,
         begin: float,
@@ -251,7 +250,7 @@ class DeepcController:
         scale = float(np.abs(u_plan).max(initial=1.0))
         limited = bool(np.abs(u - u_plan[0]).max() > 1e-4 * scale)
         seeks = sized.base.terminal == "equilibrium" and status.solved
-        y_s = y_steady.copy() if seeks else np.full(sized.p, np.nan)
+        y_s = y_plan[-1].copy() if seeks else np.full(sized.p, np.nan)
         u_s = u_plan[-1].copy() if seeks else np.full(sized.m, np.nan)
         counts = sized.mask > 0
         distance = float(np.abs(goal[-1] - y_s)[counts].max(initial=0.0)) if seeks else np.nan

@@ -50,13 +50,13 @@ class Snapshot:
 
         1.35 (sqrt(rows) + sqrt(columns)) is the 99.9 % quantile of a random Hankel matrix's norm in practice.
         """
-        rows = self.sized.p * self.sized.rows_y
-        return float(1.35 * (np.sqrt(rows) + np.sqrt(self.matrix.shape[1])) * (self.sized.noise / self.scale[1]).max())
+        size = np.sqrt(self.sized.p * self.sized.rows_y) + np.sqrt(self.matrix.shape[1])
+        return float(1.35 * size * (self.sized.noise / self.scale[1]).max())
 
     @cached_property
     def singular_values(self) -> Array:
         """Singular values of the data matrix, falling; shape (min(rows, columns),)."""
-        return np.linalg.svd(self.triangle, compute_uv=False)
+        return np.asarray(np.linalg.svd(self.triangle, compute_uv=False))
 
     @cached_property
     def rank(self) -> int:

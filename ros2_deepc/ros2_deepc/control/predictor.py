@@ -64,7 +64,7 @@ def channel_scale(u: Array, y: Array) -> tuple[Array, Array]:
 
 def triangle(W: Array) -> Array:
     """Lower-triangular factor of the data matrix: L with L L' = W W', shape (rows, min(rows, columns))."""
-    R = np.linalg.qr(W.T, mode="r")
+    R: Array = np.linalg.qr(W.T, mode="r")  # type: ignore[assignment]
     return np.ascontiguousarray(R.T)
 
 
@@ -73,7 +73,7 @@ def fit(L: Array, blocks: Blocks, columns: int, order: int = 0, floor: float = 0
 
     With L = [L11 0 0; L21 L22 0; L31 L32 L33], inputs u give the coordinates L11^-1 u; what is left of the past outputs
     lies in the range of L22, whose rank is the slow order on exact data and which alone carries the initial condition.
-    L33 is zero on exact data; it is what noise adds, and it is left out. Equivalent to (6.1b) restricted to the behaviour.
+    L33 is zero on exact data; it is what noise adds, and it is left out. On exact data this is (6.1b).
 
     Args:
         L: factor, shape (rows, min(rows, columns)), channels scaled alike.

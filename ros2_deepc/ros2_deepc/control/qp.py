@@ -47,7 +47,7 @@ class QpSolver(Protocol):
 
 
 class Osqp:
-    """OSQP: operator splitting, set up once with a fixed pattern, then updated. Bounded by iterations, never by time."""
+    """OSQP: operator splitting, set up once with a fixed pattern, then updated; bounded by iterations, not time."""
 
     name = "osqp"
 
@@ -175,9 +175,10 @@ class CheckedSolver:
         """Solves and checks.
 
         Returns:
-            The answer that passed the check, or None; which solver gave it (0 or 1, 2 for none); what the others failed on.
+            The answer that passed the check, or None; which solver gave it (0, 1, or 2 for none); what the others
+            failed on.
         """
-        complaints = []
+        complaints: list[str] = []
         for i, solver in enumerate(self.solvers):
             if not self._loaded[i]:
                 solver.load(self._H, self._A)

@@ -42,8 +42,8 @@ class StepResult:
         y_plan: predicted outputs from the next instant on, shape (L, p); NaN in status FALLBACK.
         u_steady: steady input aimed at, shape (m,); NaN unless terminal is "equilibrium".
         y_steady: steady output aimed at, shape (p,); NaN unless terminal is "equilibrium".
-        distance: largest |y_ref - y_steady| over the outputs that count (mask > 0), in output units: how far the reference is
-            from the nearest steady state reachable within the horizon; NaN unless terminal is "equilibrium".
+        distance: largest |y_ref - y_steady| over the outputs that count (mask > 0), in output units: how far the
+            reference is from the nearest steady state in reach; NaN unless terminal is "equilibrium".
         feasible: whether the terminal condition and the output limits hold for the plan.
         violation: largest violation of the terminal condition per output, shape (p,), output units.
         slack: largest violation of the output limits per output, shape (p,), output units.

@@ -63,7 +63,7 @@ class DeepcSettings:
     y_max: Numbers = np.inf
     terminal: Terminal = "equilibrium"
     terminal_steps: int = 0
-    terminal_weight: float = 100.0
+    terminal_weight: float = 1e4
     offset_weight: float = 100.0
     mask: Numbers = 1.0
     slack_weight: float = 1000.0
@@ -92,7 +92,7 @@ class DeepcSettings:
             _one_of(name, getattr(self, name), get_args(kind))
         for name in ("terminal_weight", "offset_weight", "slack_weight"):
             value = getattr(self, name)
-            if not (np.isscalar(value) and np.isfinite(value) and value >= 0):
+            if not (isinstance(value, (int, float)) and np.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} = {value}: must be a finite number >= 0")
         if self.terminal != "none" and self.tail >= self.L:
             raise ValueError(
@@ -176,8 +176,8 @@ def size(base: DeepcSettings, m: int, p: int) -> Sized:
     if not (np.isfinite(arrays["noise"]) & (arrays["noise"] >= 0)).all():
         raise ValueError(f"noise = {arrays['noise'].tolist()}: a standard deviation must be finite and >= 0")
     arrays["u_safe"] = np.clip(arrays["u_safe"], arrays["u_min"], arrays["u_max"])
-    counts = _counts(base, m)
-    return Sized(base, m, p, **counts, Q=_weight("Q", base.Q, p), R=_weight("R", base.R, m), **arrays)
+    weights = {"Q": _weight("Q", base.Q, p), "R": _weight("R", base.R, m)}
+    return Sized(base=base, m=m, p=p, **_counts(base, m), **weights, **arrays)  # type: ignore[arg-type]
 
 
 def _counts(base: DeepcSettings, m: int) -> dict[str, int]:
