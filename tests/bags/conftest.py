@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorded run with known content: a stable second-order plant under excitation, then under feedback."""
 
+import sys
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -130,14 +131,20 @@ def write_bag(folder: Path, messages, namespace: str = "/grid", **options) -> No
             bag.write(f"{namespace}/{name}", to_cdr(message), time, time - 1000)
 
 
+@pytest.fixture(scope="session")
+def make():
+    """The functions of this file: make.sample(...), make.write_bag(...), ..."""
+    return sys.modules[__name__]
+
+
 @pytest.fixture
 def record(tmp_path):
     """Function that records a run and returns what went in."""
 
-    def make(K: int = 200, collect: int = 100, seed: int = 1, name: str = "bag", **options) -> Recorded:
+    def run(K: int = 200, collect: int = 100, seed: int = 1, name: str = "bag", **options) -> Recorded:
         u, y, ref = simulate(K, seed, collect)
         messages = run_messages(u, y, ref, collect)
         write_bag(tmp_path / name, messages, **options)
         return Recorded(tmp_path / name, u, y, ref, messages)
 
-    return make
+    return run
