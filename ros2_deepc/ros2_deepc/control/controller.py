@@ -13,8 +13,8 @@ from ros2_deepc.behavior.window import as_sample
 
 from .data import RunData
 from .limiter import Limiter
-from .problem import Condensed, condense, masked
-from .qp import CheckedSolver
+from .planner import Plan, Planner
+from .problem import masked
 from .result import NotReadyError, Status, StepResult
 from .settings import DeepcSettings, size
 
@@ -57,9 +57,8 @@ class DeepcController:
         self._ahead: list[Array] = []  # known inputs after the last observed sample
         self._answer: Array | None = None  # step's own answer, taken as committed unless something else is
         self._last: Array | None = None  # the input one sample before the next free one
-        self._program: Condensed | None = None
-        self._solver = CheckedSolver(self._sized.base.solver)
-        self._plan: tuple[int, Array, Array] | None = None  # instant, inputs and outputs of the last checked plan
+        self._planner = Planner(self._sized)
+        self._plan: tuple[int, Plan] | None = None  # the last checked plan and when it was made
         self._instant = 0
         self._prepare_time = 0.0
 
@@ -149,13 +148,10 @@ class DeepcController:
 
     def prepare(self) -> None:
         """Does the work of the next step that does not need its sample; best called once the command is out."""
-        if self._program is not None or self._data.missing():
+        if self._planner.loaded or self._data.missing():
             return
         begin = perf_counter()
-        s, m = self._sized.base, self._sized.m
-        last = slice(m * (s.N + s.s - 2), m * (s.N + s.s - 1))
-        self._program = condense(self._data.predictor(), self._sized, last, s.terminal)
-        self._solver.load(self._program.H, self._program.A)
+        self._planner.load(self._data.predictor())
         self._prepare_time = perf_counter() - begin
 
     def step(self, y_ref: ArrayLike) -> StepResult:
@@ -177,21 +173,13 @@ class DeepcController:
             raise NotReadyError(f"not ready: {lacking}")
         w = self._known()
         self.prepare()
-        program = self._program
-        assert program is not None  # missing() was empty, so prepare built it
-        theta = np.concatenate([w, goal.ravel()])
-        f = program.f0 + program.f_theta @ theta
-        move = np.concatenate([np.zeros(f.size), program.shift @ theta])
-        answer, which, complaint = self._solver.solve(f, program.lower - move, program.upper - move)
-        if answer is None:
-            return self._without_solution(goal, complaint, begin)
-        u_plan = (program.inputs @ answer.x).reshape(-1, self._sized.m)
-        y_plan = (program.outputs @ answer.x + program.outputs_theta @ theta).reshape(-1, self._sized.p)
-        self._plan = (self._instant, u_plan, y_plan)
-        status = Status.SOLVED if which == 0 else Status.SECOND_SOLVER
-        return self._result(
-            status, complaint, u_plan, y_plan, goal, answer.iterations, self._solver.solvers[which].name, begin
-        )
+        plan, remark = self._planner.plan(w, goal)
+        if plan is None:
+            status, plan = self._without_solution(remark)
+        else:
+            self._plan = (self._instant, plan)
+            status = Status.SECOND_SOLVER if plan.second else Status.SOLVED
+        return self._result(status, plan, goal, begin)
 
     # Inside
 
@@ -218,71 +206,59 @@ class DeepcController:
         past = self._recent.newest()
         return np.concatenate([past.u.ravel(), *self._ahead[:ahead], past.y.ravel()])
 
-    def _without_solution(self, goal: Array, complaint: str, begin: float) -> StepResult:
+    def _without_solution(self, remark: str) -> tuple[Status, Plan]:
         """The last checked plan shifted to now, or the fallback."""
         L, m, p = self._sized.base.L, self._sized.m, self._sized.p
-        age = self._instant - self._plan[0] if self._plan else L
-        if self._plan and age < L:
-            u_plan, y_plan = self._plan[1], self._plan[2]
-            u_plan = np.vstack([u_plan[age:], np.tile(u_plan[-1], (age, 1))])
-            y_plan = np.vstack([y_plan[age:], np.full((age, p), np.nan)])
-            return self._result(Status.SHIFTED_PLAN, complaint, u_plan, y_plan, goal, 0, "", begin)
+        made, last = self._plan or (self._instant - L, None)
+        age = self._instant - made
+        if last is not None and age < L:
+            u = np.vstack([last.u[age:], np.tile(last.u[-1], (age, 1))])
+            y = np.vstack([last.y[age:], np.full((age, p), np.nan)])
+            return Status.SHIFTED_PLAN, Plan(u, y, False, "", 0, remark, last.unmet)
         held = self._last if self._last is not None else np.zeros(m)
         u = held if self._sized.base.fallback == "hold" else self._sized.u_safe
-        nothing = np.full((L, p), np.nan)
-        return self._result(Status.FALLBACK, complaint, np.tile(u, (L, 1)), nothing, goal, 0, "", begin)
+        return Status.FALLBACK, Plan(
+            np.tile(u, (L, 1)), np.full((L, p), np.nan), False, "", 0, remark, np.full(p, np.nan)
+        )
 
-    def _result(
-        self,
-        status: Status,
-        complaint: str,
-        u_plan: Array,
-        y_plan: Array,
-        goal: Array,
-        iterations: int,
-        solver: str,
-        begin: float,
-    ) -> StepResult:
+    def _result(self, status: Status, plan: Plan, goal: Array, begin: float) -> StepResult:
         """Limits the first input and says all there is to say."""
         sized = self._sized
-        u = self._limiter.apply(u_plan[0], self._last)
+        u = self._limiter.apply(plan.u[0], self._last)
         self._answer = u
-        scale = float(np.abs(u_plan).max(initial=1.0))
-        limited = bool(np.abs(u - u_plan[0]).max() > 1e-4 * scale)
         seeks = sized.base.terminal == "equilibrium" and status.solved
-        y_s = y_plan[-1].copy() if seeks else np.full(sized.p, np.nan)
-        u_s = u_plan[-1].copy() if seeks else np.full(sized.m, np.nan)
-        counts = sized.mask > 0
-        distance = float(np.abs(goal[-1] - y_s)[counts].max(initial=0.0)) if seeks else np.nan
-        violation = self._terminal_violation(y_plan, y_s if seeks else goal[-1])
-        slack = np.maximum(np.maximum(sized.y_min - y_plan, y_plan - sized.y_max).max(axis=0), 0.0)
-        tolerance = 1e-4 * np.maximum(1.0, np.abs(y_plan).max(axis=0))
-        e = y_plan - goal
-        cost = float(np.einsum("ki,ij,kj", e, masked(sized), e) + np.einsum("ki,ij,kj", u_plan, sized.R, u_plan))
+        y_s = plan.y[-1].copy() if seeks else np.full(sized.p, np.nan)
+        u_s = plan.u[-1].copy() if seeks else np.full(sized.m, np.nan)
+        violation = self._violation(plan, y_s if seeks else goal[-1])
+        slack = np.maximum(np.maximum(sized.y_min - plan.y, plan.y - sized.y_max).max(axis=0), 0.0)
+        tolerance = 1e-4 * np.maximum(1.0, np.abs(plan.y).max(axis=0))
+        e = plan.y - goal
         return StepResult(
             u=u.copy(),
             status=status,
-            reason=complaint,
-            u_plan=u_plan.copy(),
-            y_plan=y_plan.copy(),
+            reason=plan.remark,
+            u_plan=plan.u.copy(),
+            y_plan=plan.y.copy(),
             u_steady=u_s,
             y_steady=y_s,
-            distance=distance,
+            distance=float(np.abs(goal[-1] - y_s)[sized.mask > 0].max(initial=0.0)) if seeks else np.nan,
             feasible=bool((violation <= tolerance).all() and (slack <= tolerance).all()),
             violation=violation,
             slack=slack,
-            cost=cost,
-            limited=limited,
-            iterations=iterations,
-            solver=solver,
+            cost=float(np.einsum("ki,ij,kj", e, masked(sized), e) + np.einsum("ki,ij,kj", plan.u, sized.R, plan.u)),
+            limited=bool(np.abs(u - plan.u[0]).max() > 1e-4 * np.abs(plan.u).max(initial=1.0)),
+            iterations=plan.iterations,
+            solver=plan.solver,
             prepare_time=self._prepare_time,
             solve_time=perf_counter() - begin,
         )
 
-    def _terminal_violation(self, y_plan: Array, target: Array) -> Array:
-        """Largest |y - target| over the terminal steps per output that counts."""
+    def _violation(self, plan: Plan, target: Array) -> Array:
+        """How far the plan misses its terminal condition, per output; for "hard" the least it could."""
         sized = self._sized
         if sized.base.terminal == "none":
             return np.zeros(sized.p)
-        off = np.abs(y_plan[-sized.base.tail :] - target).max(axis=0)
+        if sized.base.terminal == "hard":
+            return plan.unmet.copy()
+        off = np.abs(plan.y[-sized.base.tail :] - target).max(axis=0)
         return np.where(sized.mask > 0, off, 0.0)

@@ -110,7 +110,7 @@ def condense(
 def move_blocking(sized: Sized, terminal: Terminal) -> Array:
     """Map from the free inputs to the plan u_f, shape (mL, free).
 
-    "equilibrium" holds the last input for the terminal steps: it is the steady one. "hard" ends in zero, as (6.1c) says.
+    "equilibrium" holds the last input for the terminal steps: it is the steady one. "hard" ends in zero (6.1c).
     """
     m, L, tail = sized.m, sized.base.L, sized.base.tail
     if terminal == "equilibrium":
@@ -173,9 +173,9 @@ class _Rows:
 def _equilibrium_cost(cost: _Cost, sized: Sized, plan: _Plan) -> None:
     """Stage cost against the plan's own end (u_s, y_s), distance of y_s from the reference, and rest over the tail.
 
-    y_s and u_s are the last predicted output and the last planned input, not further unknowns: at rest the two readings
-    coincide, and the program stays a pure box problem of which both solvers make short work. A reference that can be held
-    is held exactly, since every term vanishes there.
+    y_s and u_s are the last predicted output and the last planned input, not further unknowns: at rest the two
+    readings coincide, and the program stays a pure box problem of which both solvers make short work. A reference
+    that can be held is held exactly, since every term vanishes there.
     """
     m, p, L, tail = sized.m, sized.p, sized.base.L, sized.base.tail
     Q = masked(sized)

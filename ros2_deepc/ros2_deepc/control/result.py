@@ -45,7 +45,8 @@ class StepResult:
         distance: largest |y_ref - y_steady| over the outputs that count (mask > 0), in output units: how far the
             reference is from the nearest steady state in reach; NaN unless terminal is "equilibrium".
         feasible: whether the terminal condition and the output limits hold for the plan.
-        violation: largest violation of the terminal condition per output, shape (p,), output units.
+        violation: how far the plan misses the terminal condition, per output, shape (p,), output units; for "hard" the
+            least that any admissible plan misses (6.1c) by, zero where it can hold.
         slack: largest violation of the output limits per output, shape (p,), output units.
         cost: value of (6.1a) at the plan, the sum of |y - y_ref|_Q^2 + |u|_R^2 with the mask applied to Q.
         limited: whether the limiter had to change the solver's input by more than rounding.
