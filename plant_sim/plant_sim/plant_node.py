@@ -130,7 +130,9 @@ class PlantNode(ManagedNode):
         self._outputs = PatientPublisher(
             self, topics.OUTPUTS, lockstep=lockstep, sample_time=Ts, readers=self.p["readers"] if lockstep else 0
         )
-        self._clock = self.create_publisher(ClockMsg, topics.CLOCK.name, profile(topics.CLOCK)) if lockstep else None
+        self._clock_topic = (
+            self.create_publisher(ClockMsg, topics.CLOCK.name, profile(topics.CLOCK)) if lockstep else None
+        )
         self._inputs = self.create_subscription(
             Sample,
             topics.INPUTS.name,
@@ -205,8 +207,8 @@ class PlantNode(ManagedNode):
     def _step(self, u: np.ndarray) -> None:
         if self.finished:
             return
-        if self._clock is not None:
-            self._clock.publish(ClockMsg(clock=stamp(self._time(self._k))))
+        if self._clock_topic is not None:
+            self._clock_topic.publish(ClockMsg(clock=stamp(self._time(self._k))))
         self._last = u
         y = self._stepper.push(u)
         self._k += 1

@@ -85,7 +85,9 @@ def _changes(texts: list[str]) -> dict[str, dict[str, object]]:
 
 
 def _print_summary(console: Console, summary: dict, out: Path) -> None:  # type: ignore[type-arg]
-    table = Table("output", "RMSE of the last 20 samples of each reference", "peak to peak in control", box=None, padding=(0, 2))
+    table = Table(
+        "output", "RMSE of the last 20 samples of each reference", "peak to peak in control", box=None, padding=(0, 2)
+    )
     for name, values in summary["outputs"].items():
         rmse = ", ".join(f"{value:.4g}" for value in values["rmse"])
         table.add_row(name, rmse, "-" if values["peak_to_peak"] is None else f"{values['peak_to_peak']:.4g}")

@@ -88,19 +88,20 @@ def run(parameters: Parameters, options: Options, console: Console) -> dict[str,
         raise
 
 
-def _to_the_end(
-    parameters: Parameters, steps: int, name: str, options: Options, console: Console, out: Path
-) -> None:
+def _to_the_end(parameters: Parameters, steps: int, name: str, options: Options, console: Console, out: Path) -> None:
     period = parameters["monitor"].get("period", 10)
     last_report = steps // period * period - 1
-    with running(
-        _ROLES,
-        out / "parameters.yaml",
-        namespace=options.namespace,
-        executor=options.executor,
-        processes=options.processes,
-        domain_id=options.domain_id,
-    ) as stack, Dashboard(console, stack.observer, steps, name) as board:
+    with (
+        running(
+            _ROLES,
+            out / "parameters.yaml",
+            namespace=options.namespace,
+            executor=options.executor,
+            processes=options.processes,
+            domain_id=options.domain_id,
+        ) as stack,
+        Dashboard(console, stack.observer, steps, name) as board,
+    ):
         seen = stack.observer
 
         def done() -> bool:

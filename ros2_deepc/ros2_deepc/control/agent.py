@@ -105,9 +105,11 @@ class Agent:
 
     def prepare(self) -> None:
         """Does the work of the next step that does not need its sample; call it once the command is out."""
+        self.controller.prepare()
 
     def _next(self, u: Array) -> Array:
         self._inputs.append(u)
+        self.controller.commit(u)
         return u
 
     def _excite(self) -> Array:

@@ -40,7 +40,9 @@ def node_class(role: str) -> type[ManagedNode]:
     for entry in entry_points(group="ros2_deepc.plant_node", name=role):
         found: type[ManagedNode] = entry.load()
         return found
-    raise ConfigError("no plant node is installed: install plant_sim, or a package with the entry point ros2_deepc.plant_node")
+    raise ConfigError(
+        "no plant node is installed: install plant_sim, or a package with the entry point ros2_deepc.plant_node"
+    )
 
 
 def shipped(name: str) -> Path:

@@ -21,13 +21,31 @@ from ..ros.qos import profile
 from ..ros.run import run_node
 
 PARAMETERS = (
-    Param("N", 6, "past samples that fix the initial condition, at least the lag of the plant", "samples", low=1, high=1000),
+    Param(
+        "N",
+        6,
+        "past samples that fix the initial condition, at least the lag of the plant",
+        "samples",
+        low=1,
+        high=1000,
+    ),
     Param("L", 14, "prediction horizon", "samples", low=1, high=1000),
-    Param("T", 0, "inputs in the data window; 0 = the least number that Corollary 1 allows", "samples", low=0, high=1_000_000),
+    Param(
+        "T",
+        0,
+        "inputs in the data window; 0 = the least number that Corollary 1 allows",
+        "samples",
+        low=0,
+        high=1_000_000,
+    ),
     Param("Q", [1.0], "output weights, one for all or shape (p,)", "1/output units^2"),
     Param("R", [1.0], "input weights, one for all or shape (m,)", "1/input units^2"),
-    Param("u_min", [-math.inf], "lower input limits on top of the plant's own, one for all or shape (m,)", "input units"),
-    Param("u_max", [math.inf], "upper input limits on top of the plant's own, one for all or shape (m,)", "input units"),
+    Param(
+        "u_min", [-math.inf], "lower input limits on top of the plant's own, one for all or shape (m,)", "input units"
+    ),
+    Param(
+        "u_max", [math.inf], "upper input limits on top of the plant's own, one for all or shape (m,)", "input units"
+    ),
     Param("terminal", "equilibrium", "what the plan must end in", choices=("none", "equilibrium", "hard", "soft")),
     Param("solver", "osqp", "solver tried first; the other one is the second try", choices=("osqp", "daqp")),
     Param("q", 0, "prior: upper bound of the slow order; 0 = what the plant says", low=0),
@@ -125,9 +143,7 @@ class ControllerNode(ManagedNode):
         self._inputs = PatientPublisher(self, topics.INPUTS, lockstep=lockstep, sample_time=Ts, readers=readers[0])
         self._state = PatientPublisher(self, topics.STATE, lockstep=lockstep, readers=readers[1])
         qos = profile(topics.OUTPUTS, lockstep=lockstep)
-        self._topics.append(
-            self.create_subscription(Sample, topics.OUTPUTS.name, self.guarded(self._on_outputs), qos)
-        )
+        self._topics.append(self.create_subscription(Sample, topics.OUTPUTS.name, self.guarded(self._on_outputs), qos))
 
     def _on_reference(self, msg: Sample) -> None:
         if self._agent is None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.subscription import MessageInfo
 
 from ..bags.convert import offered_qos
 from ..bags.writer import BagWriter
@@ -20,7 +19,9 @@ from ..ros.run import run_node
 PARAMETERS = (
     Param("folder", "", "folder of the bag; must not exist yet"),
     Param("metadata", [""], "KEY=VALUE strings to store in the bag"),
-    Param("idle", 0.3, "how long the topics must be silent before the bag is closed at the end", "s", low=0.0, high=60.0),
+    Param(
+        "idle", 0.3, "how long the topics must be silent before the bag is closed at the end", "s", low=0.0, high=60.0
+    ),
 )
 
 
@@ -44,7 +45,7 @@ class RecorderNode(ManagedNode):
         self.messages = 0
         self._last_message = time.monotonic()
         self._writer: BagWriter | None = None
-        self._subscriptions: list[Any] = []
+        self._taps: list[Any] = []
         self._known: set[str] = set()
 
     def configure(self) -> None:
@@ -54,7 +55,7 @@ class RecorderNode(ManagedNode):
         metadata = dict(text.split("=", 1) for text in filter(None, self.p["metadata"]))
         self._writer = BagWriter(Path(self.p["folder"]), metadata=metadata)
         for topic in topics.ALL:
-            self._subscriptions.append(
+            self._taps.append(
                 self.create_subscription(
                     topic.type, topic.name, self._writes(topic), _subscription_qos(topic), raw=True
                 )
@@ -62,9 +63,9 @@ class RecorderNode(ManagedNode):
 
     def cleanup(self) -> None:
         """Closes the bag."""
-        for subscription in self._subscriptions:
+        for subscription in self._taps:
             self.destroy_subscription(subscription)
-        self._subscriptions.clear()
+        self._taps.clear()
         if self._writer is not None:
             self._writer.close()
             self._writer = None
@@ -74,15 +75,15 @@ class RecorderNode(ManagedNode):
         return time.monotonic() - self._last_message > self.p["idle"]
 
     def _writes(self, topic: topics.Topic) -> Any:
-        def write(data: bytes, info: MessageInfo) -> None:
+        def write(data: bytes) -> None:  # asked for message info, too, EventsExecutor fails on raw bytes
             try:
-                self._write(topic, data, info)
+                self._write(topic, data)
             except OSError as error:
                 self.on_fault(error)
 
         return write
 
-    def _write(self, topic: topics.Topic, data: bytes, info: dict[str, int]) -> None:
+    def _write(self, topic: topics.Topic, data: bytes) -> None:
         if self._writer is None:
             return
         name = self.resolve_topic_name(topic.name)
@@ -90,7 +91,7 @@ class RecorderNode(ManagedNode):
             self._known.add(name)
             self._add(name, topic)
         now = self.get_clock().now().nanoseconds
-        self._writer.write(name, bytes(data), now, int(info["source_timestamp"]) or now)
+        self._writer.write(name, data, now, now)
         self.messages += 1
         self._last_message = time.monotonic()
 
@@ -98,7 +99,9 @@ class RecorderNode(ManagedNode):
         assert self._writer is not None
         offered = self.get_publishers_info_by_topic(name)
         type_hash = str(offered[0].topic_type_hash) if offered else ""
-        self._writer.add_topic(name, topic.type_name, qos=[offered_qos(info.qos_profile) for info in offered], type_hash=type_hash)
+        self._writer.add_topic(
+            name, topic.type_name, qos=[offered_qos(info.qos_profile) for info in offered], type_hash=type_hash
+        )
 
 
 def main() -> int:

@@ -91,7 +91,9 @@ def running(
 class _InProcess:
     """Nodes in this process, on one executor."""
 
-    def __init__(self, roles: Sequence[str], arguments: list[str], context: Context, executor: object, spinner: Spinner) -> None:
+    def __init__(
+        self, roles: Sequence[str], arguments: list[str], context: Context, executor: object, spinner: Spinner
+    ) -> None:
         self._spinner = spinner
         self._executor = executor
         self._nodes: list[ManagedNode] = []
@@ -112,12 +114,15 @@ class _InProcess:
         return next((node.fault for node in self._nodes if node.fault), "")
 
     def finish(self) -> None:
-        for node in sorted(self._nodes, key=lambda n: hasattr(n, "drained")):
+        for node in self._nodes:
             drained = getattr(node, "drained", None)
-            if drained is not None and not node.fault:
+            if drained is None:
+                node.quiesce()
+            elif not node.fault:
                 self._spinner.until(drained)
+        self._executor.shutdown()  # nothing may be taken off the graph while an executor still looks at it
+        for node in self._nodes:
             node.stop()
-            self._executor.remove_node(node)  # type: ignore[attr-defined]
             node.destroy_node()
         self._nodes.clear()
 

@@ -63,10 +63,14 @@ class ManagedNode(LifecycleNode):
         if self.trigger_activate() != TransitionCallbackReturn.SUCCESS:
             raise ConfigError(self.fault or f"{self.get_name()} could not be activated")
 
-    def stop(self) -> None:
-        """Deactivates and shuts down, whatever the state; may be called twice."""
+    def quiesce(self) -> None:
+        """Deactivates, if active."""
         if self._active:
             self.trigger_deactivate()
+
+    def stop(self) -> None:
+        """Deactivates and cleans up, whatever the state; may be called twice. No executor may be spinning the node."""
+        self.quiesce()
         self._guard(self.cleanup)
 
     def guarded(self, callback: Callable[[Message], None]) -> Callable[[Message], None]:

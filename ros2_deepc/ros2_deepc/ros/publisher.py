@@ -66,6 +66,8 @@ class PatientPublisher:
             try:
                 self._publisher.publish(msg)
                 return
-            except RuntimeError as error:  # RCLError: the history is full of messages that a slow reader has not taken yet
+            except (
+                RuntimeError
+            ) as error:  # RCLError: the history is full of messages that a slow reader has not taken yet
                 reason = str(error)
         self._node.get_logger().error(f"cannot publish on {self._publisher.topic_name}: {reason}; message dropped")

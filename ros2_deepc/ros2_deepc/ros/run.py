@@ -3,14 +3,14 @@
 
 """Running nodes: executors, signals, one BLAS thread."""
 
-import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import rclpy
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
@@ -52,7 +52,8 @@ class Spinner:
     def until(self, done: Callable[[], bool], each: Callable[[], None] = lambda: None) -> None:
         """Spins until ``done()``; ``each`` runs between slices of at most 0.1 s."""
         while not done():
-            self._executor.spin_until_future_complete(self._future, _SLICE)
+            with suppress(InvalidHandle):  # an event of something that was taken off the graph meanwhile
+                self._executor.spin_until_future_complete(self._future, _SLICE)
             if self._future.done():
                 self._future = Future()
             each()
@@ -61,7 +62,6 @@ class Spinner:
 @contextmanager
 def ros(args: Sequence[str] | None = None, domain_id: int | None = None) -> Iterator[Context]:
     """An initialised context of our own, without rclpy's signal handlers, shut down at the end."""
-    os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
     context = Context()
     rclpy.init(
         args=list(args) if args is not None else None,
@@ -131,4 +131,3 @@ def run_node(factory: Callable[..., ManagedNode], args: Sequence[str] | None = N
         executor.shutdown()
         node.destroy_node()
     return int(failed)
-

@@ -16,12 +16,21 @@ from rosgraph_msgs.msg import Clock
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One topic: its name, message type, whether it is latched (transient local, depth 1), who talks to whom."""
+    """One topic.
+
+    Attributes:
+        name: relative to the namespace of the zone.
+        type: message class.
+        path: who talks to whom.
+        latched: a reader that joins late gets the last messages (transient local).
+        depth: messages kept for a reader that lags or joins late; in lockstep, samples are all kept.
+    """
 
     name: str
     type: Any
-    latched: bool
     path: str
+    latched: bool = False
+    depth: int = 10
 
     @property
     def type_name(self) -> str:
@@ -30,13 +39,13 @@ class Topic:
         return f"{package}/msg/{self.type.__name__}"
 
 
-PLANT_INFO = Topic("plant_info", PlantInfo, True, "plant -> all")
-OUTPUTS = Topic("outputs", Sample, False, "plant -> controller, monitor, recorder")
-INPUTS = Topic("inputs", Sample, False, "controller -> plant, monitor, recorder")
-REFERENCE = Topic("reference", Sample, True, "operator -> controller")
-STATE = Topic("controller/state", ControllerState, False, "controller -> all")
-REPORT = Topic("monitor/report", MonitorReport, True, "monitor -> all")
-DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, False, "all -> all")
-CLOCK = Topic("/clock", Clock, False, "plant -> all, in lockstep")
+PLANT_INFO = Topic("plant_info", PlantInfo, "plant -> all", latched=True, depth=1)
+OUTPUTS = Topic("outputs", Sample, "plant -> controller, monitor, recorder")
+INPUTS = Topic("inputs", Sample, "controller -> plant, monitor, recorder")
+REFERENCE = Topic("reference", Sample, "operator -> controller", latched=True, depth=100)  # a whole schedule
+STATE = Topic("controller/state", ControllerState, "controller -> all")
+REPORT = Topic("monitor/report", MonitorReport, "monitor -> all", latched=True)
+DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, "all -> all")
+CLOCK = Topic("/clock", Clock, "plant -> all, in lockstep", depth=1)
 
 ALL = (PLANT_INFO, OUTPUTS, INPUTS, REFERENCE, STATE, REPORT, DIAGNOSTICS, CLOCK)
