@@ -64,7 +64,7 @@ class DeepcSettings:
     terminal: Terminal = "equilibrium"
     terminal_steps: int = 0
     terminal_weight: float = 1e4
-    offset_weight: float = 100.0
+    offset_weight: float = 1000.0
     mask: Numbers = 1.0
     slack_weight: float = 1000.0
     solver: Solver = "osqp"

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Plants with a known model, the loop around the controller, and predictive control on that model by another solver."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+import quadprog
+
+from plant_sim.random_systems import random_system
+from plant_sim.stepper import LinearStepper
+from ros2_deepc.control import DeepcController, DeepcSettings
+
+
+def generator(*seed):
+    return np.random.Generator(np.random.PCG64(list(seed)))
+
+
+@dataclass
+class Truth:
+    """Exact predictions y_f = O z1 + T [committed; planned] from the quasi-Weierstrass form, and MPC on them."""
+
+    form: object
+    L: int
+
+    def __post_init__(self):
+        f, L = self.form, self.L
+        p, m = f.D.shape
+        steps = L + f.s - 1
+        self.O = np.vstack([f.C1 @ np.linalg.matrix_power(f.A1, k) for k in range(L)])
+        self.T = np.zeros((p * L, m * steps))
+        for k in range(L):
+            for j in range(k):
+                block = f.C1 @ np.linalg.matrix_power(f.A1, k - 1 - j) @ f.B1
+                self.T[p * k : p * (k + 1), m * j : m * (j + 1)] += block
+            for i, P in enumerate(f.markov()):
+                self.T[p * k : p * (k + 1), m * (k + i) : m * (k + i + 1)] += P
+
+    def predict(self, z1, inputs):
+        """Outputs (L, p) from the slow state and inputs (L + s - 1, m)."""
+        return (self.O @ z1 + self.T @ np.ravel(inputs)).reshape(self.L, -1)
+
+    def mpc(self, z1, committed, goal, Q, R, low, high, zero_tail=0):
+        """Planned inputs (L, m) of (6.1) without data: quadprog on the model; zero_tail > 0 imposes (6.1c)."""
+        L, (p, m) = self.L, self.form.D.shape
+        known = m * (self.form.s - 1)
+        G, g = self.T[:, known:], self.O @ z1 + self.T[:, :known] @ np.ravel(committed)
+        Qs, Rs = np.kron(np.eye(L), Q), np.kron(np.eye(L), R)
+        e = g - np.ravel(np.broadcast_to(goal, (L, p)))
+        H, f = G.T @ Qs @ G + Rs, G.T @ Qs @ e
+        basis, offset = np.eye(m * L), np.zeros(m * L)
+        if zero_tail:
+            E = np.vstack([np.eye(m * L)[-m * zero_tail :], G[-p * zero_tail :]])
+            d = np.concatenate([np.zeros(m * zero_tail), -e[-p * zero_tail :]])
+            U, sv, Vt = np.linalg.svd(E)
+            rank = int((sv > 1e-9 * sv[0]).sum())
+            offset = np.linalg.lstsq(E, d, rcond=1e-9)[0]
+            assert np.abs(E @ offset - d).max() < 1e-7 * max(1, np.abs(d).max()), "the terminal condition cannot hold"
+            basis = Vt[rank:].T
+        Hb = basis.T @ H @ basis
+        fb = basis.T @ (f + H @ offset)
+        C = np.vstack([basis, -basis])
+        b = np.concatenate([low - offset, offset - high])
+        keep = np.abs(C).sum(axis=1) > 1e-12
+        x = quadprog.solve_qp((Hb + Hb.T) / 2, -fb, C[keep].T, b[keep])[0]
+        return (offset + basis @ x).reshape(L, m)
+
+
+@dataclass
+class Loop:
+    """A controller on a plant: excites with white noise until the controller is ready, then closes the loop."""
+
+    form: object
+    settings: DeepcSettings
+    seed: int = 0
+    z10: object = None
+    noise: float = 0.0
+    dither: float = 0.0
+    u: list = field(default_factory=list)
+    y: list = field(default_factory=list)
+
+    def __post_init__(self):
+        self.p, self.m = self.form.D.shape
+        self.rng = generator(self.seed, 7)
+        z10 = self.rng.standard_normal(self.form.q) if self.z10 is None else self.z10
+        self.stepper = LinearStepper(self.form, z10)
+        self.controller = DeepcController(self.m, self.p, self.settings)
+        for _ in range(self.settings.s - 1):
+            self.stepper.push(self.apply(self.excitation()))
+        self.apply(self.excitation())
+
+    def excitation(self):
+        low = np.broadcast_to(self.settings.u_min, (self.m,))
+        high = np.broadcast_to(self.settings.u_max, (self.m,))
+        return self.rng.uniform(np.maximum(low, -1), np.minimum(high, 1))
+
+    def apply(self, u):
+        self.u.append(np.array(u))
+        self.controller.commit(u)
+        return self.u[-1]
+
+    def sense(self):
+        """The plant takes the last decided input and answers; the controller observes."""
+        y = self.stepper.push(self.u[-1]) + self.noise * self.rng.standard_normal(self.p)
+        self.y.append(y)
+        self.controller.observe(self.u[len(self.y) - 1], y)
+        return y
+
+    def collect(self):
+        """Runs open loop until the controller is ready."""
+        while True:
+            self.sense()
+            if self.controller.ready:
+                return self
+            self.apply(self.excitation())
+
+    def step(self, reference):
+        """One closed-loop sample, from the last observation to the next one; returns the step's result."""
+        result = self.controller.step(reference)
+        extra = self.dither * self.rng.uniform(-1, 1, self.m)
+        self.apply(np.clip(result.u + extra, self.settings.u_min, self.settings.u_max) if self.dither else result.u)
+        self.sense()
+        return result
+
+    @property
+    def committed(self):
+        """Inputs decided after the last observed sample, (s - 1, m)."""
+        return np.array(self.u[len(self.y) :]).reshape(-1, self.m)
+
+
+@pytest.fixture(scope="session")
+def truth():
+    return Truth
+
+
+@pytest.fixture(scope="session")
+def loop():
+    return Loop
+
+
+@pytest.fixture(scope="session")
+def plant_form():
+    """Quasi-Weierstrass form of a random plant; s picks one Jordan block of that size (none for s = 1)."""
+
+    def make(seed, m=3, p=2, q=6, s=1, radius=(0.3, 0.9), **how):
+        blocks = (s, 1) if s > 1 else ()
+        return random_system(m=m, p=p, q=q, blocks=blocks, radius=radius, seed=seed, **how).system.weierstrass()
+
+    return make
