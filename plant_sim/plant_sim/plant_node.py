@@ -110,19 +110,23 @@ class PlantNode(ManagedNode):
         self.held_samples = 0
 
     @staticmethod
-    def info(parameters: Mapping[str, Any]) -> PlantInfo:
-        """What the plant of these parameters would say of itself, without running it.
+    def plant_of(parameters: Mapping[str, Any]) -> Plant:
+        """The plant that these parameters name.
 
         Raises:
             ConfigError: for an unknown plant or option.
         """
         given = {row.name: row.default for row in PARAMETERS} | dict(parameters)
-        plant = make_plant(given["plant"], parse_options(given["options"]))
-        return plant_info(plant, 1, lockstep=given["mode"] == "lockstep")
+        return make_plant(given["plant"], parse_options(given["options"]))
+
+    @classmethod
+    def info(cls, parameters: Mapping[str, Any]) -> PlantInfo:
+        """What that plant would say of itself, without running it."""
+        return plant_info(cls.plant_of(parameters), 1, lockstep=parameters.get("mode", "lockstep") == "lockstep")
 
     def configure(self) -> None:
         """Makes the plant and its topics."""
-        self.plant = make_plant(self.p["plant"], parse_options(self.p["options"]))
+        self.plant = self.plant_of(self.p)
         self._lockstep = self.p["mode"] == "lockstep"
         self._period = period_ns(self.plant.sample_time)
         lockstep, Ts = self._lockstep, self.plant.sample_time / self.p["speed"]

@@ -22,10 +22,10 @@ _VERDICTS = (
     ("NOT DECIDABLE", "bright_black"),
 )
 _LIGHTS = (
-    ("R-controllable", "r_controllability"),
-    ("R-observable", "r_observability"),
-    ("C-controllable", "c_controllability"),
-    ("C-observable", "c_observability"),
+    ("R-ctrb", "r_controllability"),
+    ("R-obsv", "r_observability"),
+    ("C-ctrb", "c_controllability"),
+    ("C-obsv", "c_observability"),
 )
 _REDRAW = 0.1  # [s]
 _LINES = 10  # lines of progress where there is no terminal to redraw
@@ -71,7 +71,7 @@ class Dashboard:
                 self._live.update(self._picture(), refresh=True)
         elif state is not None and (part := (int(state.k) + 1) * _LINES // self._steps) > self._printed:
             self._printed = part
-            self._console.print(self._line())
+            self._console.print(self._line(), soft_wrap=True)
 
     def _line(self) -> Text:
         state = self._observer.state
@@ -86,7 +86,7 @@ class Dashboard:
         text = Text()
         for label, field in _LIGHTS:
             verdict = _VERDICTS[0] if report is None else _VERDICTS[getattr(report, field).verdict]
-            text.append("● ", style=verdict[1]).append(f"{label}: {verdict[0].lower()}   ")
+            text.append("● ", style=verdict[1]).append(f"{label} {verdict[0].lower()}  ")
         return text
 
     def _picture(self) -> Group:

@@ -109,7 +109,12 @@ def _to_the_end(parameters: Parameters, steps: int, name: str, options: Options,
             return bool(stack.failure()) or (reported and seen.state is not None and seen.state.k >= steps - 1)
 
         watch = _Watch(stack)
-        stack.spinner.until(done, lambda: (board.draw(), watch.look()))  # type: ignore[func-returns-value]
+
+        def between() -> None:
+            board.draw()
+            watch.look()
+
+        stack.spinner.until(done, between)
         if stack.failure():
             raise RunError(stack.failure())
         stack.finish()

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rclpy.context import Context
+from rclpy.executors import Executor
 from threadpoolctl import threadpool_limits
 
 from ..ros.lifecycle import ManagedNode
@@ -31,7 +32,7 @@ class Stack:
         observer: sees what goes over the topics.
         spinner: runs this process's share of it.
         failure: one line on why a node gave up; empty while all is well.
-        finish: stops all nodes in the order given and waits until each has cleaned up.
+        finish: stops all nodes, the recorder last, once everything published has been written.
     """
 
     observer: Observer
@@ -49,17 +50,18 @@ def running(
     executor: str = "events",
     processes: bool = False,
     domain_id: int | None = None,
+    log_level: str = "warn",
 ) -> Iterator[Stack]:
     """Starts the nodes of ``roles`` and stops them at the end.
 
     Args:
-        roles: which nodes, in the order in which they are started; they are stopped in the reverse order of need,
-            the recorder last.
+        roles: which nodes, in the order in which they are started.
         params_file: ROS parameter file for all of them.
         namespace: of the zone.
         executor: "events" or "single".
-        processes: one process a node instead of this one for all.
+        processes: one process a node instead of this one for all; they log beside ``params_file``.
         domain_id: DDS domain, None = ROS_DOMAIN_ID.
+        log_level: of the nodes.
 
     Raises:
         ConfigError: if a node cannot be configured.
@@ -78,9 +80,9 @@ def running(
         spin.add_node(observer)
         cleanup.callback(observer.destroy_node)
         cleanup.callback(spin.shutdown)
-        arguments = ["--ros-args", "--params-file", str(params_file), "-r", f"__ns:={namespace}"]
+        arguments = ["--ros-args", "--log-level", log_level, "--params-file", str(params_file), "-r", f"__ns:={namespace}"]
         if processes:
-            zone = _Processes(roles, arguments, executor, domain_id, spinner)
+            zone = _Processes(roles, arguments, executor, domain_id, params_file.parent)
         else:
             zone = _InProcess(roles, arguments, context, spin, spinner)
         cleanup.callback(zone.finish)
@@ -92,7 +94,7 @@ class _InProcess:
     """Nodes in this process, on one executor."""
 
     def __init__(
-        self, roles: Sequence[str], arguments: list[str], context: Context, executor: object, spinner: Spinner
+        self, roles: Sequence[str], arguments: list[str], context: Context, executor: Executor, spinner: Spinner
     ) -> None:
         self._spinner = spinner
         self._executor = executor
@@ -107,7 +109,7 @@ class _InProcess:
 
     def start(self) -> None:
         for node in self._nodes:
-            self._executor.add_node(node)  # type: ignore[attr-defined]
+            self._executor.add_node(node)
             node.start()
 
     def failure(self) -> str:
@@ -128,27 +130,28 @@ class _InProcess:
 
 
 class _Processes:
-    """Nodes in processes of their own, started from the installed console scripts."""
+    """Nodes in processes of their own, started from the installed console scripts; each logs to a file."""
 
     def __init__(
-        self, roles: Sequence[str], arguments: list[str], executor: str, domain_id: int | None, spinner: Spinner
+        self, roles: Sequence[str], arguments: list[str], executor: str, domain_id: int | None, logs: Path
     ) -> None:
-        self._roles, self._arguments, self._executor, self._spinner = roles, arguments, executor, spinner
+        self._roles, self._arguments, self._executor, self._logs = roles, arguments, executor, logs
         self._env = dict(os.environ)
         if domain_id is not None:
             self._env["ROS_DOMAIN_ID"] = str(domain_id)
-        self._children: dict[str, subprocess.Popen[str]] = {}
+        self._children: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self) -> None:
         folder = Path(sys.executable).parent
         for role in self._roles:
             command = [str(folder / f"ros2-deepc-{role}"), "--executor", self._executor, *self._arguments]
-            self._children[role] = subprocess.Popen(command, env=self._env, stderr=subprocess.PIPE, text=True)
+            with self._log(role).open("wb") as log:
+                self._children[role] = subprocess.Popen(command, env=self._env, stdout=log, stderr=log)
 
     def failure(self) -> str:
         for role, child in self._children.items():
             if child.poll() is not None:
-                lines = (child.stderr.read() if child.stderr else "").strip().splitlines()
+                lines = self._log(role).read_text(encoding="utf-8", errors="replace").strip().splitlines()
                 return f"the {role} process ended with code {child.returncode}: {lines[-1] if lines else 'no message'}"
         return ""
 
@@ -157,8 +160,11 @@ class _Processes:
             child = self._children[role]
             child.terminate()
             try:
-                child.communicate(timeout=_STOP_SECONDS)
+                child.wait(timeout=_STOP_SECONDS)
             except subprocess.TimeoutExpired:
                 child.kill()
-                child.communicate()
+                child.wait()
         self._children.clear()
+
+    def _log(self, role: str) -> Path:
+        return self._logs / f"{role}.log"
