@@ -12,7 +12,7 @@ from .arrays import Array
 from .descriptor import DescriptorSystem
 from .errors import PlantError
 
-MARGIN = 1e-2  # what is not planted as lost is kept at least this far from being lost
+MARGIN = 1e-3  # what is not planted as lost is kept at least this far from being lost
 TRIES = 1000
 
 

@@ -92,6 +92,14 @@ def _decouple(d: Deflation) -> tuple[Array, Array, Array]:
     return left, right, np.asarray(E22, dtype=np.float64)
 
 
+def _orthonormal(basis: Array) -> tuple[Array, Array]:
+    """Economic QR factors of ``basis``, shape (n, k); k may be 0."""
+    if not basis.shape[1]:
+        return basis, np.empty((0, 0))
+    Q, R = linalg.qr(basis, mode="economic")
+    return np.asarray(Q, dtype=np.float64), np.asarray(R, dtype=np.float64)
+
+
 def _nilpotent(A11: Array, E11: Array, R: Array) -> Array:
     """R A11^-1 E11 R^-1 by triangular solves, which keep its zeros: N^s vanishes to the last bit."""
     if not len(R):
@@ -117,15 +125,15 @@ def weierstrass(E: Array, A: Array, B: Array, C: Array, D: Array, deflation: Def
     n, r = len(E), deflation.r
     q = n - r
     left, right, E22 = _decouple(deflation)
-    fast, R2 = linalg.qr(right[:, :r], mode="economic") if r else (right[:, :0], np.empty((0, 0)))
-    slow, R1 = linalg.qr(right[:, r:], mode="economic") if q else (right[:, :0], np.empty((0, 0)))
+    fast, R2 = _orthonormal(right[:, :r])
+    slow, R1 = _orthonormal(right[:, r:])
     # right[:, r:] = slow R1, so z1 = R1 (old coordinates): S rows for the slow part are R1 E22^-1 left
     S = np.vstack([
         R1 @ linalg.solve_triangular(E22, left[r:]) if q else left[:0],
         R2 @ linalg.solve_triangular(deflation.A[:r, :r], left[:r]) if r else left[:0],
     ])  # fmt: skip
     P = np.hstack([slow, fast])
-    A1 = S[:q] @ A @ slow
+    A1: Array = S[:q] @ A @ slow
     N = _nilpotent(deflation.A[:r, :r], deflation.E[:r, :r], R2)
     target_E, target_A = linalg.block_diag(np.eye(q), N), linalg.block_diag(A1, np.eye(r))
     SB, CP = S @ B, C @ P

@@ -1,0 +1,156 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which modes of a pair (A, B) the inputs reach, and by what margin; observability asks the same of (A', C')."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+from scipy.linalg import lapack
+
+from .arrays import Array, frozen
+
+EPS = float(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Reach:
+    """How far the inputs of (A, B) reach.
+
+    Attributes:
+        rank: dimension of the reachable subspace.
+        required: number of states.
+        krylov_rank: the same dimension by growing span(B, AB, ...), an independent decision.
+        margin: min over lambda of the smallest singular value of [A - lambda I, B / norm(B)]: how far the next pair
+            with an unreachable mode is.
+        floor: rounding level of the margin; at or below it a mode counts as unreachable.
+        weakest_mode: the lambda of the margin.
+        modes: eigenvalues of the unreachable part, conjugates included.
+        reachable: orthonormal basis of the reachable subspace, shape (states, rank).
+        lost: orthonormal basis of its complement, shape (states, required - rank); left-invariant under A.
+    """
+
+    rank: int
+    required: int
+    krylov_rank: int
+    margin: float
+    floor: float
+    weakest_mode: complex
+    modes: tuple[complex, ...]
+    reachable: Array
+    lost: Array
+
+    @property
+    def full(self) -> bool:
+        """Whether every mode is reached."""
+        return self.rank == self.required
+
+    @property
+    def clear(self) -> bool:
+        """Whether both decisions agree and the margin is not within 1e2 of rounding while counted as reached."""
+        return self.rank == self.krylov_rank and (not self.full or self.margin > 1e2 * self.floor)
+
+
+def _weakest_at(A: Array, B: Array, z: complex) -> tuple[float, Array]:
+    """Smallest singular value of [A - zI, B] and its left vector, by inverse iteration on a QR factor."""
+    q = len(A)
+    point = z.real if z.imag == 0 else z
+    M = np.hstack([A - point * np.eye(q), B])
+    R = np.linalg.qr(M.conj().T, mode="r")
+    diagonal = np.abs(R.diagonal())
+    tiny = EPS * max(float(diagonal.max()), 1e-300)
+    weak = diagonal < tiny
+    R[weak, weak] = tiny  # an exact zero would stop the iteration; this moves the singular value by eps
+    solve = lapack.dtrtrs if R.dtype == np.float64 else lapack.ztrtrs
+    w = np.random.Generator(np.random.PCG64(1)).standard_normal(q)
+    for _ in range(4):
+        w = solve(R, solve(R, w, trans=2)[0])[0]
+        w = w / np.linalg.norm(w)
+    return float(np.linalg.norm(M.conj().T @ w)), w
+
+
+def weakest_mode(A: Array, B: Array, *, starts: int = 6, sweeps: int = 20) -> tuple[float, complex, Array]:
+    """Local minima of the smallest singular value of [A - zI, B] from every eigenvalue; the lowest.
+
+    From a left vector w the best z is its Rayleigh quotient w' A w, so alternating the two never goes up.
+
+    Returns:
+        The singular value, z, and the left vector, shape (q,).
+    """
+    eigenvalues = [complex(z) for z in linalg.eigvals(A) if z.imag >= 0]
+    found = sorted(((*_weakest_at(A, B, z), z) for z in eigenvalues), key=lambda item: item[0])[:starts]
+    best, best_w, best_z = found[0]
+    for sigma, w, z in found:
+        for _ in range(sweeps):
+            new_z = complex(w.conj() @ A @ w)
+            if z.imag == 0 or abs(new_z.imag) < 1e-7 * abs(new_z):
+                new_z = complex(new_z.real)
+            new_sigma, new_w = _weakest_at(A, B, new_z)
+            if not new_sigma < 0.99 * sigma:
+                break
+            sigma, w, z = new_sigma, new_w, new_z
+        if sigma < best:
+            best, best_w, best_z = sigma, w, z
+    return best, best_z, best_w
+
+
+def _krylov_rank(A: Array, B: Array, floor: float) -> int:
+    """Dimension of span(B, AB, A^2 B, ...), grown orthonormally with directions below ``floor`` dropped."""
+    basis, new = np.empty((len(A), 0)), B
+    while True:
+        for _ in range(2):  # twice is enough
+            new = new - basis @ (basis.T @ new)
+        U, sigma, _ = linalg.svd(new, full_matrices=False)
+        new = U[:, sigma > floor]
+        if not new.size:
+            return basis.shape[1]
+        basis = np.hstack([basis, new])
+        if basis.shape[1] >= len(A):
+            return len(A)
+        new = A @ new
+
+
+def _invariant(w: Array, z: complex) -> Array:
+    """Orthonormal real basis of span(w, conj(w)), shape (q, 1) for a real mode, else (q, 2)."""
+    if z.imag == 0:
+        real = np.asarray(np.real(w), dtype=np.float64)
+        return (real / np.linalg.norm(real))[:, None]
+    return np.asarray(linalg.qr(np.column_stack([w.real, w.imag]), mode="economic")[0])
+
+
+def reach(A: Array, B: Array, floor: float) -> Reach:
+    """Decides which modes of (A, B) are reachable, one unreachable mode after the other being split off.
+
+    Args:
+        A: shape (q, q).
+        B: shape (q, m); its overall size does not matter.
+        floor: relative rounding level of A and of B.
+    """
+    q = len(A)
+    size = float(linalg.norm(B, 2)) if B.size else 0.0
+    B = B / size if size > 0 else np.zeros_like(B)
+    floor = max(floor, 100 * q * EPS) * max(1.0, float(linalg.norm(A, 2)) if q else 0.0)
+    reachable, lost = np.eye(q), np.empty((q, 0))
+    modes: list[complex] = []
+    margin, at = np.inf, complex(np.nan)
+    a, b = A, B
+    while len(a):
+        sigma, z, w = weakest_mode(a, b)
+        if not modes:
+            margin, at = sigma, z
+        if sigma > floor:
+            break
+        if 0 < z.imag < 1e-6:  # a multiple real eigenvalue may have come out as a pair
+            real_sigma, real_w = _weakest_at(a, b, complex(z.real))
+            if real_sigma <= floor:
+                z, w = complex(z.real), real_w
+        modes += [z] if z.imag == 0 else [z, z.conjugate()]
+        W = _invariant(w, z)
+        V = linalg.qr(W)[0][:, W.shape[1] :]
+        lost, reachable = np.hstack([lost, reachable @ W]), reachable @ V
+        a, b = V.T @ a @ V, V.T @ b
+    return Reach(
+        rank=q - lost.shape[1], required=q, krylov_rank=_krylov_rank(A, B, 100 * floor) if q else 0,
+        margin=float(margin), floor=floor, weakest_mode=at, modes=tuple(modes),
+        reachable=frozen(reachable), lost=frozen(lost),
+    )  # fmt: skip
