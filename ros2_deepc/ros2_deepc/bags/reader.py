@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import yaml
 from mcap.reader import SeekingReader
@@ -16,7 +16,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from .decode import Decoder, decoder
 from .errors import BagError, why
 from .layout import MARKER, METADATA
-from .scan import BROKEN, Damage, scan
+from .scan import BROKEN, Damage, read_summary, scan
 
 
 class RawMessage(NamedTuple):
@@ -41,6 +41,19 @@ class TopicInfo:
     type_hash: str = ""
     encoding: str = "cdr"
     schema_encoding: str = "ros2msg"
+
+    @classmethod
+    def of(cls, channel: Channel, schema: Schema | None) -> Self:
+        """From the records of a file."""
+        return cls(
+            channel.topic,
+            schema.name if schema else "",
+            schema.data.decode("utf-8", "replace") if schema else "",
+            qos=channel.metadata.get("offered_qos_profiles", ""),
+            type_hash=channel.metadata.get("topic_type_hash", ""),
+            encoding=channel.message_encoding,
+            schema_encoding=schema.encoding if schema else "",
+        )
 
     def decoder(self) -> Decoder:
         """Function from this topic's bytes to a namespace with the message's fields.
@@ -84,7 +97,7 @@ class BagReader:
         for file in self.files:
             try:
                 self._indexed[file] = self._read_index(file) or self._read_through(file)
-            except OSError as error:
+            except (OSError, *BROKEN) as error:
                 raise BagError(f"cannot read {file}: {why(error)}") from error
 
     @property
@@ -133,18 +146,12 @@ class BagReader:
 
     def _read_index(self, file: Path) -> bool:
         """Fills in what the summary at the end of the file says; False if there is none."""
-        try:
-            with file.open("rb") as stream:
-                reader = SeekingReader(stream)
-                summary = reader.get_summary()
-                if summary is None or summary.statistics is None or not summary.chunk_indexes:
-                    return False
-                for record in reader.iter_metadata():
-                    self.metadata[record.name] = record.metadata
-        except (*BROKEN, OSError) as error:
-            if isinstance(error, OSError) and file.stat().st_size > 64:
-                raise
+        summary = read_summary(file)
+        if summary is None or summary.statistics is None or not summary.chunk_indexes:
             return False
+        with file.open("rb") as stream:
+            for record in SeekingReader(stream).iter_metadata():
+                self.metadata[record.name] = record.metadata
         for channel in summary.channels.values():
             count = summary.statistics.channel_message_counts.get(channel.id, 0)
             self._add_topic(channel, summary.schemas.get(channel.schema_id)).count += count
@@ -156,6 +163,7 @@ class BagReader:
         """Fills in the same by reading the whole file; always False: this file has no usable index."""
         schemas: dict[int, Schema] = {}
         channels: dict[int, TopicInfo] = {}
+        orphans = 0
         for record in scan(file):
             match record:
                 case Schema():
@@ -167,22 +175,17 @@ class BagReader:
                     self._add_time(record.log_time, record.log_time)
                 case Metadata():
                     self.metadata[record.name] = record.metadata
+                case Message():
+                    orphans += 1
                 case Damage():
                     self.complete = False
                     self.losses.append(f"{file.name}: {record}")
+        if orphans:
+            self.losses.append(f"{file.name}: {orphans} messages of topics whose description is lost")
         return False
 
     def _add_topic(self, channel: Channel, schema: Schema | None) -> TopicInfo:
-        info = TopicInfo(
-            channel.topic,
-            schema.name if schema else "",
-            schema.data.decode("utf-8", "replace") if schema else "",
-            qos=channel.metadata.get("offered_qos_profiles", ""),
-            type_hash=channel.metadata.get("topic_type_hash", ""),
-            encoding=channel.message_encoding,
-            schema_encoding=schema.encoding if schema else "",
-        )
-        return self.topics.setdefault(channel.topic, info)
+        return self.topics.setdefault(channel.topic, TopicInfo.of(channel, schema))
 
     def _add_time(self, first: int, last: int) -> None:
         self.start = first if not self.start else min(self.start, first)

@@ -4,6 +4,7 @@
 
 import os
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BytesIO
@@ -14,12 +15,15 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, Footer, Header, Message, Metadata, Schema
 from mcap.stream_reader import CRCValidationError, breakup_chunk
+from mcap.summary import Summary
 
 from .errors import why
 
 MAGIC = b"\x89MCAP0\r\n"
+_TAIL = 1 + 8 + 20 + 8  # the footer record and the magic behind it
 _KEPT = {
     Opcode.HEADER: Header,
     Opcode.SCHEMA: Schema,
@@ -48,7 +52,9 @@ class Damage:
 def scan(path: Path) -> Iterator[Any]:
     """Yields the records of a file in file order (chunks are opened), and a Damage for every unreadable stretch.
 
-    A damaged chunk is skipped; a cut or senseless record ends the file. One chunk is in memory at a time.
+    A damaged chunk is skipped. Where no record starts, reading goes on at the next chunk that the index knows; without
+    an index the file ends there. Schemas and channels that the index repeats come first. One chunk is in memory at a
+    time.
 
     Raises:
         OSError: if the file cannot be read at all.
@@ -58,31 +64,59 @@ def scan(path: Path) -> Iterator[Any]:
         if file.read(8) != MAGIC:
             yield Damage(0, size, "not an MCAP file")
             return
-        yield from _records(file, size)
+        summary = read_summary(path)
+        if summary is not None:
+            yield from summary.schemas.values()
+            yield from summary.channels.values()
+        chunks = sorted(c.chunk_start_offset for c in summary.chunk_indexes) if summary is not None else []
+        yield from _records(file, size, chunks)
 
 
-def _records(file: BinaryIO, size: int) -> Iterator[Any]:
+def read_summary(path: Path) -> Summary | None:
+    """The index at the end of a file; None if there is none, or its checksum is wrong."""
+    try:
+        with path.open("rb") as stream:
+            end = stream.seek(-_TAIL, os.SEEK_END)
+            tail = stream.read()
+            start, expected = struct.unpack_from("<Q8xI", tail, 9)
+            if not tail.endswith(MAGIC) or not 8 <= start < end:
+                return None
+            stream.seek(start)
+            if expected and zlib.crc32(stream.read(end - start) + tail[: _TAIL - 12]) != expected:
+                return None
+            stream.seek(0)
+            return SeekingReader(stream).get_summary()
+    except (*BROKEN, OSError):
+        return None
+
+
+def _records(file: BinaryIO, size: int, chunks: list[int]) -> Iterator[Any]:
     at = 8
     while at < size:
+        file.seek(at)
         head = file.read(9)
         length = int.from_bytes(head[1:], "little")
+        fault = ""
         if len(head) < 9 or at + 9 + length > size:
-            yield Damage(at, size - at, "the file ends within a record")
-            return
-        opcode = head[0]
-        if not 0 < opcode <= Opcode.DATA_END:
-            yield Damage(at, size - at, f"no record starts here (opcode {opcode})")
-            return
-        yield from _record(file, opcode, at, length)
-        if opcode == Opcode.FOOTER:
+            fault = "the file ends within a record"
+        elif not 0 < head[0] <= Opcode.DATA_END:
+            fault = f"no record starts here (opcode {head[0]})"
+        if fault:
+            resume = next((c for c in chunks if c > at), size)
+            yield Damage(at, resume - at, fault)
+            if resume == size:
+                return
+            at = resume
+            continue
+        yield from _record(file, head[0], at, length)
+        if head[0] == Opcode.FOOTER:
             return
         at += 9 + length
     yield Damage(size, 0, "the file was not finished")
 
 
 def _record(file: BinaryIO, opcode: int, at: int, length: int) -> Iterator[Any]:
-    if opcode != Opcode.CHUNK and opcode != Opcode.MESSAGE and opcode not in _KEPT:
-        file.seek(length, os.SEEK_CUR)
+    if opcode not in (Opcode.CHUNK, Opcode.MESSAGE, *_KEPT):
         return
     body = file.read(length)
     try:
@@ -92,6 +126,8 @@ def _record(file: BinaryIO, opcode: int, at: int, length: int) -> Iterator[Any]:
         elif opcode == Opcode.MESSAGE:
             yield Message.read(stream, length)
         else:
+            if opcode == Opcode.ATTACHMENT and zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
+                raise ValueError("wrong checksum")
             yield _KEPT[Opcode(opcode)].read(stream)
     except BROKEN as error:
         yield Damage(at, 9 + length, f"{Opcode(opcode).name.lower()}: {why(error)}")
