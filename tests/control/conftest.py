@@ -53,7 +53,7 @@ class Truth:
         if zero_tail:
             E = np.vstack([np.eye(m * L)[-m * zero_tail :], G[-p * zero_tail :]])
             d = np.concatenate([np.zeros(m * zero_tail), -e[-p * zero_tail :]])
-            U, sv, Vt = np.linalg.svd(E)
+            _, sv, Vt = np.linalg.svd(E)
             rank = int((sv > 1e-9 * sv[0]).sum())
             offset = np.linalg.lstsq(E, d, rcond=1e-9)[0]
             assert np.abs(E @ offset - d).max() < 1e-7 * max(1, np.abs(d).max()), "the terminal condition cannot hold"

@@ -3,7 +3,18 @@
 """Data matrices: Hankel matrices, excitation, the online window. Pure numpy and scipy."""
 
 from .excitation import excitation_order, numerical_rank
+from .gram import SlidingGram
 from .hankel import hankel
+from .sliding import SlidingFactor
 from .window import DataWindow, Record, data_matrix
 
-__all__ = ["DataWindow", "Record", "data_matrix", "excitation_order", "hankel", "numerical_rank"]
+__all__ = [
+    "DataWindow",
+    "Record",
+    "SlidingFactor",
+    "SlidingGram",
+    "data_matrix",
+    "excitation_order",
+    "hankel",
+    "numerical_rank",
+]
