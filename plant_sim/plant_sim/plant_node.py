@@ -15,9 +15,7 @@ from rosgraph_msgs.msg import Clock as ClockMsg
 from ros2_deepc.ros import topics
 from ros2_deepc.ros.convert import period_ns, refusal, sample, stamp
 from ros2_deepc.ros.lifecycle import ManagedNode
-from ros2_deepc.ros.parameters import ConfigError, Param, declare
-from ros2_deepc.ros.publisher import PatientPublisher
-from ros2_deepc.ros.qos import profile
+from ros2_deepc.ros.parameters import ConfigError, Param
 from ros2_deepc.ros.run import run_node
 
 from .plant import Plant
@@ -99,13 +97,14 @@ class PlantNode(ManagedNode):
     """Publishes plant_info, then outputs k as soon as the inputs up to k+s-1 are known; /clock in lockstep.
 
     lockstep: every inputs message of the index waited for makes one step; anything else is refused and counted.
-    realtime: from the first inputs on, one step every Ts / speed; when no inputs came for a tick, the last ones are held and
-    the outputs say for how long.
+    realtime: from the first inputs on, one step every Ts / speed; when no inputs came for a tick, the last are held
+    and the outputs say for how long.
     """
+
+    parameters = PARAMETERS
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("plant", **kwargs)
-        self.p = declare(self, PARAMETERS)
         self.refused = 0
         self.held_samples = 0
 
@@ -130,19 +129,11 @@ class PlantNode(ManagedNode):
         self._lockstep = self.p["mode"] == "lockstep"
         self._period = period_ns(self.plant.sample_time)
         lockstep, Ts = self._lockstep, self.plant.sample_time / self.p["speed"]
-        self._info = self.create_publisher(PlantInfo, topics.PLANT_INFO.name, profile(topics.PLANT_INFO))
-        self._outputs = PatientPublisher(
-            self, topics.OUTPUTS, lockstep=lockstep, sample_time=Ts, readers=self.p["readers"] if lockstep else 0
-        )
-        self._clock_topic = (
-            self.create_publisher(ClockMsg, topics.CLOCK.name, profile(topics.CLOCK)) if lockstep else None
-        )
-        self._inputs = self.create_subscription(
-            Sample,
-            topics.INPUTS.name,
-            self.guarded(self._on_inputs),
-            profile(topics.INPUTS, lockstep=lockstep),
-        )
+        self._info = self.advertise(topics.PLANT_INFO)
+        readers = self.p["readers"] if lockstep else 0
+        self._outputs = self.advertise(topics.OUTPUTS, lockstep=lockstep, sample_time=Ts, readers=readers)
+        self._clock_topic = self.advertise(topics.CLOCK) if lockstep else None
+        self.subscribe(topics.INPUTS, self._on_inputs, lockstep=lockstep)
         self._timer = None
 
     def activate(self) -> None:

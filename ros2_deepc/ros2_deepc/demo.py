@@ -16,8 +16,7 @@ from .bags.figure import draw
 from .bags.run import load_run
 from .bags.summary import summarize
 from .dashboard import Dashboard
-from .nodes.config import Parameters, merged, node_class, save
-from .nodes.controller_node import make_agent
+from .nodes.config import Parameters, merged, node_class, save, validate
 from .nodes.stack import Stack, running
 from .ros.parameters import ConfigError
 
@@ -65,11 +64,13 @@ def run(parameters: Parameters, options: Options, console: Console) -> dict[str,
         RunError: if the run did not reach its end; the folder then holds a file FAILED that says why.
         OSError: if the folder cannot be written.
     """
+    validate(parameters)
     steps = parameters["plant"].get("steps", 0)
     if steps < 1:
         raise ConfigError("plant: a run that is summed up needs steps >= 1")
     info = node_class("plant").info(parameters["plant"])  # type: ignore[attr-defined]
-    make_agent(parameters["controller"], info)
+    for role, values in parameters.items():
+        node_class(role).check(values, info)
     out = _fresh(options.out)
     parameters = merged(parameters, _READERS)
     parameters = merged(

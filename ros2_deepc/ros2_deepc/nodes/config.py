@@ -12,7 +12,7 @@ import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
 from ..ros.lifecycle import ManagedNode
-from ..ros.parameters import ConfigError
+from ..ros.parameters import ConfigError, check
 from .controller_node import ControllerNode
 from .monitor_node import MonitorNode
 from .operator_node import OperatorNode
@@ -89,6 +89,16 @@ def load(path: Path) -> Parameters:
     if missing:
         raise ConfigError(f"{path}: no section for {' and '.join(sorted(missing))}")
     return parameters
+
+
+def validate(parameters: Parameters) -> None:
+    """Checks every value against the table of its node.
+
+    Raises:
+        ConfigError: in one line, for the first that does not fit.
+    """
+    for role, values in parameters.items():
+        check(role, node_class(role).parameters, values)
 
 
 def save(parameters: Mapping[str, Mapping[str, Any]], path: Path) -> None:

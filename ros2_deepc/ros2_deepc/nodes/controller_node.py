@@ -4,6 +4,7 @@
 """The controller: collects, then controls; publishes inputs and its state."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,8 @@ from ..ros import topics
 from ..ros.convert import nanoseconds, period_ns, refusal, sample
 from ..ros.diagnostics import OK, WARN, Diagnostics
 from ..ros.lifecycle import ManagedNode
-from ..ros.parameters import ConfigError, Param, declare
+from ..ros.parameters import ConfigError, Param
 from ..ros.publisher import PatientPublisher
-from ..ros.qos import profile
 from ..ros.run import run_node
 
 PARAMETERS = (
@@ -56,13 +56,13 @@ PARAMETERS = (
 )
 
 
-def settings_for(parameters: dict[str, Any], info: PlantInfo) -> DeepcSettings:
+def settings_for(parameters: Mapping[str, Any], info: PlantInfo) -> DeepcSettings:
     """Settings of the controller for a plant: the parameters, within the plant's limits and with its prior.
 
     Raises:
         ConfigError: in one line, if they cannot work.
     """
-    given = {row.name: row.default for row in PARAMETERS} | parameters
+    given = {row.name: row.default for row in PARAMETERS} | dict(parameters)
     try:
         m = len(info.input_names)
         return DeepcSettings(
@@ -76,7 +76,7 @@ def settings_for(parameters: dict[str, Any], info: PlantInfo) -> DeepcSettings:
         raise ConfigError(f"controller: {error}") from None
 
 
-def make_agent(parameters: dict[str, Any], info: PlantInfo) -> Agent:
+def make_agent(parameters: Mapping[str, Any], info: PlantInfo) -> Agent:
     """The decisions of one run on a plant; the node and the ROS-free loop make the same one.
 
     Raises:
@@ -95,10 +95,16 @@ class ControllerNode(ManagedNode):
     It learns sizes, limits, prior and sample time from plant_info; a new epoch there starts a new run.
     """
 
+    parameters = PARAMETERS
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("controller", **kwargs)
-        self.p = declare(self, PARAMETERS)
         self.refused = 0
+
+    @classmethod
+    def check(cls, parameters: Mapping[str, Any], info: PlantInfo) -> None:
+        """Whether the settings can work for the plant."""
+        make_agent(parameters, info)
 
     def configure(self) -> None:
         """Makes the topics that do not depend on the plant."""
@@ -107,24 +113,9 @@ class ControllerNode(ManagedNode):
         self._state: PatientPublisher | None = None
         self._early: dict[int, Sample] = {}
         self._diagnostics = Diagnostics(self, "")
-        self._topics = [
-            self.create_subscription(
-                PlantInfo, topics.PLANT_INFO.name, self.guarded(self._on_plant), profile(topics.PLANT_INFO)
-            ),
-            self.create_subscription(
-                Sample, topics.REFERENCE.name, self.guarded(self._on_reference), profile(topics.REFERENCE)
-            ),
-        ]
-
-    def cleanup(self) -> None:
-        """Takes the topics off the graph."""
-        for subscription in self._topics:
-            self.destroy_subscription(subscription)
-        self._topics.clear()
-        for publisher in (self._inputs, self._state, self._diagnostics):
-            if publisher is not None:
-                publisher.destroy()
-        self._inputs = self._state = None
+        self.resources.callback(self._diagnostics.destroy)
+        self.subscribe(topics.PLANT_INFO, self._on_plant)
+        self.subscribe(topics.REFERENCE, self._on_reference)
 
     def _on_plant(self, info: PlantInfo) -> None:
         """A plant or a new epoch of it: a fresh run. Its first inputs go out once a reference is known."""
@@ -140,10 +131,9 @@ class ControllerNode(ManagedNode):
     def _connect(self, info: PlantInfo) -> None:
         lockstep, Ts = bool(info.lockstep), info.sample_time
         readers = (self.p["readers_inputs"], self.p["readers_state"]) if lockstep else (0, 0)
-        self._inputs = PatientPublisher(self, topics.INPUTS, lockstep=lockstep, sample_time=Ts, readers=readers[0])
-        self._state = PatientPublisher(self, topics.STATE, lockstep=lockstep, readers=readers[1])
-        qos = profile(topics.OUTPUTS, lockstep=lockstep)
-        self._topics.append(self.create_subscription(Sample, topics.OUTPUTS.name, self.guarded(self._on_outputs), qos))
+        self._inputs = self.advertise(topics.INPUTS, lockstep=lockstep, sample_time=Ts, readers=readers[0])
+        self._state = self.advertise(topics.STATE, lockstep=lockstep, readers=readers[1])
+        self.subscribe(topics.OUTPUTS, self._on_outputs, lockstep=lockstep)
 
     def _on_reference(self, msg: Sample) -> None:
         if self._agent is None:

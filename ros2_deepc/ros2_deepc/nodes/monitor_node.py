@@ -20,9 +20,7 @@ from ..ros import topics
 from ..ros.convert import nanoseconds, refusal
 from ..ros.diagnostics import OK, WARN, Diagnostics
 from ..ros.lifecycle import ManagedNode
-from ..ros.parameters import Param, declare
-from ..ros.publisher import PatientPublisher
-from ..ros.qos import profile
+from ..ros.parameters import Param
 from ..ros.run import run_node
 
 PARAMETERS = (
@@ -42,33 +40,27 @@ PROPERTIES = ("r_controllability", "c_controllability", "r_observability", "c_ob
 class MonitorNode(ManagedNode):
     """Pairs inputs and outputs, tests the newest stretch every few samples, publishes and logs the report."""
 
+    parameters = PARAMETERS
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("monitor", **kwargs)
-        self.p = declare(self, PARAMETERS)
         self.refused = 0
         self._log: BagWriter | None = None
 
     def configure(self) -> None:
         """Opens the log and makes the topics that do not depend on the plant."""
         self._live: LiveMonitor | None = None
-        self._report = PatientPublisher(self, topics.REPORT, lockstep=True, readers=self.p["readers"])
+        self._report = self.advertise(topics.REPORT, readers=self.p["readers"])
         self._diagnostics = Diagnostics(self, "")
+        self.resources.callback(self._diagnostics.destroy)
         if self.p["log"]:
             self._log = BagWriter(Path(self.p["log"]))
             self._log_topic = self.resolve_topic_name(topics.REPORT.name)
             self._log.add_topic(self._log_topic, topics.REPORT.type_name)
-        self._plant = self.create_subscription(
-            PlantInfo, topics.PLANT_INFO.name, self.guarded(self._on_plant), profile(topics.PLANT_INFO)
-        )
-        self._data: list[Any] = []
+            self.resources.callback(self._close_log)
+        self.subscribe(topics.PLANT_INFO, self._on_plant)
 
-    def cleanup(self) -> None:
-        """Closes the log and takes the topics off the graph."""
-        for subscription in (*self._data, self._plant):
-            self.destroy_subscription(subscription)
-        self._data.clear()
-        self._report.destroy()
-        self._diagnostics.destroy()
+    def _close_log(self) -> None:
         if self._log is not None:
             self._log.close()
             self._log = None
@@ -77,17 +69,15 @@ class MonitorNode(ManagedNode):
         """A plant or a new epoch of it: a fresh window."""
         D = np.reshape(info.d, (len(info.output_names), len(info.input_names))) if info.d_known else None
         prior = Prior(q=self.p["q"] or info.q, s=self.p["s"] or max(info.s, 1), n=info.n, D=D)
-        self._info = info
+        fresh, self._info = self._live is None, info
         self._stamps: deque[tuple[int, Any]] = deque(maxlen=1000)
         self._verdicts: dict[str, Verdict] = {}
         self._live = LiveMonitor(
             prior, window=self.p["window"], period=self.p["period"], noise=self.p["noise"], L=self.p["L"] or None
         )
-        if self._data:
-            return
-        for topic, callback in ((topics.INPUTS, self._on_inputs), (topics.OUTPUTS, self._on_outputs)):
-            qos = profile(topic, lockstep=info.lockstep)
-            self._data.append(self.create_subscription(Sample, topic.name, self.guarded(callback), qos))
+        if fresh:
+            self.subscribe(topics.INPUTS, self._on_inputs, lockstep=bool(info.lockstep))
+            self.subscribe(topics.OUTPUTS, self._on_outputs, lockstep=bool(info.lockstep))
 
     def _on_inputs(self, msg: Sample) -> None:
         if self._accepts(msg, len(self._info.input_names)):

@@ -3,17 +3,18 @@
 
 """The operator: publishes the references of a run from its parameters."""
 
+from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from deepc_msgs.msg import PlantInfo
+from numpy.typing import NDArray
 
 from ..ros import topics
 from ..ros.convert import nanoseconds, period_ns, sample
 from ..ros.lifecycle import ManagedNode
-from ..ros.parameters import ConfigError, Param, declare
-from ..ros.publisher import PatientPublisher
-from ..ros.qos import profile
+from ..ros.parameters import ConfigError, Param
 from ..ros.run import run_node
 
 PARAMETERS = (
@@ -23,44 +24,50 @@ PARAMETERS = (
 )
 
 
+Schedule = list[tuple[int, NDArray[np.float64]]]
+
+
+def schedule(parameters: Mapping[str, Any], p: int) -> Schedule:
+    """The references of a run, (k, shape (p,)) in order of k.
+
+    Raises:
+        ConfigError: if the parameters do not hold p values for each reference.
+    """
+    given = {row.name: row.default for row in PARAMETERS} | dict(parameters)
+    starts, values = given["reference_k"], given["reference_values"]
+    if any(b <= a for a, b in pairwise(starts)):
+        raise ConfigError(f"operator: reference_k = {starts} must increase")
+    if len(values) != len(starts) * p:
+        raise ConfigError(
+            f"operator: reference_values has {len(values)} entries, needs {len(starts)} references of {p} outputs each"
+        )
+    return list(zip(starts, np.reshape(values, (len(starts), p)), strict=True))
+
+
 class OperatorNode(ManagedNode):
     """Publishes every reference of the schedule as soon as a plant appears, the one in force last.
 
-    Each carries the first sample k for which it holds, so it may be published long before; the latched one is the first.
+    Each carries the first sample k for which it holds, so it may be published long before.
     """
+
+    parameters = PARAMETERS
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("operator", **kwargs)
-        self.p = declare(self, PARAMETERS)
+
+    @classmethod
+    def check(cls, parameters: Mapping[str, Any], info: PlantInfo) -> None:
+        """Whether the references fit the plant's outputs."""
+        schedule(parameters, len(info.output_names))
 
     def configure(self) -> None:
-        """Checks the schedule and makes the topics."""
-        starts, values = self.p["reference_k"], self.p["reference_values"]
-        if not starts or len(values) % len(starts) or any(b <= a for a, b in zip(starts, starts[1:], strict=False)):
-            raise ConfigError(
-                f"operator: reference_k = {starts} must increase, and reference_values must hold p values for each of "
-                f"the {len(starts)}, got {len(values)} in all"
-            )
-        self._schedule = list(zip(starts, np.reshape(values, (len(starts), -1)), strict=True))
-        self._publisher = PatientPublisher(self, topics.REFERENCE, lockstep=True, readers=self.p["readers"])
-        self._subscription = self.create_subscription(
-            PlantInfo, topics.PLANT_INFO.name, self.guarded(self._on_plant), profile(topics.PLANT_INFO)
-        )
-
-    def cleanup(self) -> None:
-        """Takes the topics off the graph."""
-        self._publisher.destroy()
-        self.destroy_subscription(self._subscription)
+        """Makes the topics."""
+        self._publisher = self.advertise(topics.REFERENCE, readers=self.p["readers"])
+        self.subscribe(topics.PLANT_INFO, self._on_plant)
 
     def _on_plant(self, info: PlantInfo) -> None:
         start, period = nanoseconds(info.header.stamp), period_ns(info.sample_time)
-        p = len(info.output_names)
-        if self._schedule[0][1].size != p:
-            raise ConfigError(
-                f"operator: references of {self._schedule[0][1].size} values for the {p} outputs of {info.name}: "
-                "correct reference_values"
-            )
-        for k, values in reversed(self._schedule):
+        for k, values in reversed(schedule(self.p, len(info.output_names))):
             self._publisher.publish(sample(info.name, info.epoch, k, values, start + k * period))
 
 

@@ -13,7 +13,7 @@ from ..bags.convert import offered_qos
 from ..bags.writer import BagWriter
 from ..ros import topics
 from ..ros.lifecycle import ManagedNode
-from ..ros.parameters import ConfigError, Param, declare
+from ..ros.parameters import ConfigError, Param
 from ..ros.run import run_node
 
 PARAMETERS = (
@@ -39,13 +39,13 @@ def _subscription_qos(topic: topics.Topic) -> QoSProfile:
 class RecorderNode(ManagedNode):
     """Writes the CDR bytes of every message of the topic table to an MCAP bag in the layout of rosbag2."""
 
+    parameters = PARAMETERS
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("recorder", **kwargs)
-        self.p = declare(self, PARAMETERS)
         self.messages = 0
         self._last_message = time.monotonic()
         self._writer: BagWriter | None = None
-        self._taps: list[Any] = []
         self._known: set[str] = set()
 
     def configure(self) -> None:
@@ -54,25 +54,21 @@ class RecorderNode(ManagedNode):
             raise ConfigError("recorder: give the parameter folder, for example folder:=runs/today/bag")
         metadata = dict(text.split("=", 1) for text in filter(None, self.p["metadata"]))
         self._writer = BagWriter(Path(self.p["folder"]), metadata=metadata)
+        self.resources.callback(self._close)
         for topic in topics.ALL:
-            self._taps.append(
-                self.create_subscription(
-                    topic.type, topic.name, self._writes(topic), _subscription_qos(topic), raw=True
-                )
+            tap = self.create_subscription(
+                topic.type, topic.name, self._writes(topic), _subscription_qos(topic), raw=True
             )
-
-    def cleanup(self) -> None:
-        """Closes the bag."""
-        for subscription in self._taps:
-            self.destroy_subscription(subscription)
-        self._taps.clear()
-        if self._writer is not None:
-            self._writer.close()
-            self._writer = None
+            self.resources.callback(self.destroy_subscription, tap)
 
     def drained(self) -> bool:
         """Whether nothing has arrived for a while, so that the bag may be closed."""
         return time.monotonic() - self._last_message > self.p["idle"]
+
+    def _close(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
 
     def _writes(self, topic: topics.Topic) -> Any:
         def write(data: bytes) -> None:  # asked for message info, too, EventsExecutor fails on raw bytes

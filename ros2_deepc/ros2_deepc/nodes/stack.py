@@ -68,7 +68,7 @@ def running(
     """
     with ExitStack() as cleanup:
         cleanup.enter_context(threadpool_limits(limits=1))
-        context = cleanup.enter_context(ros([], domain_id))
+        context = cleanup.enter_context(ros(["--ros-args", "--log-level", log_level], domain_id))
         spin = make_executor(executor, context)
         spinner = Spinner(spin)
         observer = Observer(
@@ -80,7 +80,8 @@ def running(
         spin.add_node(observer)
         cleanup.callback(observer.destroy_node)
         cleanup.callback(spin.shutdown)
-        arguments = ["--ros-args", "--log-level", log_level, "--params-file", str(params_file), "-r", f"__ns:={namespace}"]
+        arguments = ["--ros-args", "--log-level", log_level, "--params-file", str(params_file)]
+        arguments += ["-r", f"__ns:={namespace}"]
         if processes:
             zone = _Processes(roles, arguments, executor, domain_id, params_file.parent)
         else:

@@ -3,34 +3,59 @@
 
 """The base of every node: a managed (lifecycle) node whose gaps in rclpy are closed.
 
-rclpy runs timers and subscriptions of an inactive node, forgets `deactivate` on a signal, and lets an exception in a callback
-end the process. Here callbacks run only while active, `stop` walks down to finalized, and an exception ends in `on_fault`.
+rclpy runs timers and subscriptions of an inactive node, forgets `deactivate` on a signal, and lets an exception in a
+callback end the process. Here callbacks run only while active, `stop` deactivates and cleans up, and an exception
+ends in `on_fault`.
 """
 
-from collections.abc import Callable
-from typing import Any, TypeVar
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from typing import Any, ClassVar, TypeVar
 
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from .parameters import ConfigError
+from .parameters import ConfigError, Param, declare
+from .publisher import PatientPublisher
+from .qos import profile
+from .topics import Topic
 
 Message = TypeVar("Message")
 
 
 class ManagedNode(LifecycleNode):
-    """A lifecycle node. Subclasses fill in ``configure``, ``activate``, ``deactivate`` and ``cleanup``.
+    """A lifecycle node. Subclasses fill in ``configure``, ``activate`` and ``deactivate``.
 
-    Each of the four may be called again after its counterpart; ``deactivate`` and ``cleanup`` must tolerate being called twice.
+    What ``configure`` makes, it registers in ``resources``; cleaning up closes them in reverse order.
+
+    Attributes:
+        p: values of the parameters by name.
+        fault: one line on why the node failed; empty while all is well.
+        resources: what cleaning up has to release.
     """
+
+    parameters: ClassVar[tuple[Param, ...]] = ()
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
-        self._active = False
+        self.p = declare(self, self.parameters)
         self.fault = ""
-        """One line on why the node failed; empty while all is well."""
+        self.resources = ExitStack()
+        self._active = False
+
+    @classmethod
+    def check(cls, parameters: Mapping[str, Any], info: Any) -> None:
+        """Checks parameters against a plant, before any node exists.
+
+        Args:
+            parameters: of this node, those that are given.
+            info: PlantInfo of the plant.
+
+        Raises:
+            ConfigError: if they cannot work together.
+        """
 
     def configure(self) -> None:
-        """Reads and validates parameters, allocates, creates publishers and subscriptions.
+        """Validates, allocates, creates publishers and subscriptions.
 
         Raises:
             ConfigError: with one line that says what is wrong; the node then stays unconfigured.
@@ -42,15 +67,25 @@ class ManagedNode(LifecycleNode):
     def deactivate(self) -> None:
         """Leaves a defined state behind and stops work."""
 
-    def cleanup(self) -> None:
-        """Releases what ``configure`` allocated."""
+    def subscribe(self, topic: Topic, callback: Callable[[Any], None], *, lockstep: bool = True) -> None:
+        """Subscribes until cleanup; the callback runs only while the node is active."""
+        qos = profile(topic, lockstep=lockstep)
+        subscription = self.create_subscription(topic.type, topic.name, self.guarded(callback), qos)
+        self.resources.callback(self.destroy_subscription, subscription)
+
+    def advertise(
+        self, topic: Topic, *, lockstep: bool = True, sample_time: float = 0.0, readers: int = 0
+    ) -> PatientPublisher:
+        """Makes a publisher that lives until cleanup; see `PatientPublisher`."""
+        publisher = PatientPublisher(self, topic, lockstep=lockstep, sample_time=sample_time, readers=readers)
+        self.resources.callback(publisher.destroy)
+        return publisher
 
     def on_fault(self, error: Exception) -> None:
         """An exception escaped a callback: says so and deactivates."""
-        self.fault = f"{type(error).__name__}: {error}"
+        self.fault = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
         self.get_logger().error(f"{self.get_name()} stopped working: {self.fault}")
-        if self._active:
-            self.trigger_deactivate()
+        self.quiesce()
 
     def start(self) -> None:
         """Configures and activates.
@@ -58,10 +93,9 @@ class ManagedNode(LifecycleNode):
         Raises:
             ConfigError: if the configuration cannot work.
         """
-        if self.trigger_configure() != TransitionCallbackReturn.SUCCESS:
-            raise ConfigError(self.fault or f"{self.get_name()} could not be configured")
-        if self.trigger_activate() != TransitionCallbackReturn.SUCCESS:
-            raise ConfigError(self.fault or f"{self.get_name()} could not be activated")
+        for transition in (self.trigger_configure, self.trigger_activate):
+            if transition() != TransitionCallbackReturn.SUCCESS:
+                raise ConfigError(self.fault or f"{self.get_name()} could not be started")
 
     def quiesce(self) -> None:
         """Deactivates, if active."""
@@ -71,7 +105,7 @@ class ManagedNode(LifecycleNode):
     def stop(self) -> None:
         """Deactivates and cleans up, whatever the state; may be called twice. No executor may be spinning the node."""
         self.quiesce()
-        self._guard(self.cleanup)
+        self._guard(self.resources.close)
 
     def guarded(self, callback: Callable[[Message], None]) -> Callable[[Message], None]:
         """A callback that runs only while the node is active and whose exceptions end in ``on_fault``."""
@@ -86,17 +120,20 @@ class ManagedNode(LifecycleNode):
 
         return run
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:  # noqa: ARG002 - rclpy's signature
         """Transition callback: unconfigured -> inactive, or a failure with its reason logged."""
         self.fault = ""
-        return self._guard(self.configure)
+        result = self._guard(self.configure)
+        if result != TransitionCallbackReturn.SUCCESS:
+            self.resources.close()
+        return result
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Transition callback: inactive -> active."""
         self._active = True
         result = self._guard(self.activate)
         self._active = result == TransitionCallbackReturn.SUCCESS
-        return result if self._active is False else super().on_activate(state)
+        return super().on_activate(state) if self._active else result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Transition callback: active -> inactive."""
@@ -105,16 +142,16 @@ class ManagedNode(LifecycleNode):
         super().on_deactivate(state)
         return result
 
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:  # noqa: ARG002
         """Transition callback: inactive -> unconfigured."""
-        return self._guard(self.cleanup)
+        return self._guard(self.resources.close)
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:  # noqa: ARG002
         """Transition callback: any -> finalized."""
         if self._active:
             self._guard(self.deactivate)
             self._active = False
-        return self._guard(self.cleanup)
+        return self._guard(self.resources.close)
 
     def _guard(self, step: Callable[[], None]) -> TransitionCallbackReturn:
         try:

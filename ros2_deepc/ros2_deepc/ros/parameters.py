@@ -3,7 +3,9 @@
 
 """Parameters as one table: declaration, ranges, defaults and documentation come from the same rows."""
 
-from collections.abc import Iterable
+import difflib
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +30,7 @@ class Param:
 
     Attributes:
         name: relative name, dots group.
-        default: value when nothing is given; an empty list of strings or numbers needs ``kind``.
+        default: value when nothing is given; a list needs an entry, which fixes the type of all.
         description: one sentence, with shape where it is an array.
         unit: unit, empty for a pure number.
         low: smallest value allowed, or None.
@@ -51,6 +53,22 @@ class Param:
         unit = f" [{self.unit}]" if self.unit else ""
         choices = f" ({' | '.join(self.choices)})" if self.choices else ""
         return f"{self.description}{unit}{choices}"
+
+    def complaint(self, value: Any) -> str:
+        """What is wrong with a value, in one line; empty if nothing is."""
+        values = value if isinstance(self.default, list) and isinstance(value, (list, tuple)) else [value]
+        kind = type(self.default[0] if isinstance(self.default, list) else self.default)
+        if isinstance(value, (list, tuple)) != isinstance(self.default, list) or not all(
+            type(v) is kind for v in values
+        ):
+            hint = " (write a decimal point)" if kind is float and all(type(v) in (int, float) for v in values) else ""
+            return f"{self.name} = {value!r} should be like {self.default!r}{hint}: {self.text()}"
+        if self.choices and value not in self.choices:
+            return f"{self.name} = {value!r} is not one of {', '.join(self.choices)}"
+        low, high = -math.inf if self.low is None else self.low, math.inf if self.high is None else self.high
+        if kind in (int, float) and not all(low <= v <= high for v in values):
+            return f"{self.name} = {value!r} is out of range {low}..{high}: {self.text()}"
+        return ""
 
     def descriptor(self) -> ParameterDescriptor:
         """The ROS descriptor; rclpy then refuses values out of range by itself."""
@@ -77,22 +95,31 @@ def declare(node: Node, table: Iterable[Param]) -> dict[str, Any]:
     for row in table:
         try:
             value = node.declare_parameter(row.name, row.default, row.descriptor()).value
-        except (InvalidParameterTypeException, ParameterUninitializedException):
-            kind = type(row.default).__name__
-            raise ConfigError(
-                f"{node.get_name()}: parameter {row.name} must be of type {kind}, for example {row.default!r}"
-            ) from None
-        except InvalidParameterValueException:
-            given = node._parameter_overrides[row.name].value  # rclpy keeps the refused value nowhere public
-            raise ConfigError(
-                f"{node.get_name()}: parameter {row.name} = {given!r} is out of range {row.low}..{row.high}: {row.text()}"
-            ) from None
-        if row.choices and value not in row.choices:
-            raise ConfigError(
-                f"{node.get_name()}: parameter {row.name} = {value!r} is not one of {', '.join(row.choices)}"
-            )
-        values[row.name] = list(value) if not isinstance(value, str) and hasattr(value, "__len__") else value
+        except (InvalidParameterTypeException, InvalidParameterValueException, ParameterUninitializedException):
+            value = node._parameter_overrides[row.name].value  # rclpy keeps a refused value nowhere public
+        value = value.tolist() if hasattr(value, "tolist") else value
+        if complaint := row.complaint(value):
+            raise ConfigError(f"{node.get_name()}: {complaint}")
+        values[row.name] = value
     return values
+
+
+def check(owner: str, table: Iterable[Param], given: Mapping[str, Any]) -> None:
+    """Checks values against a table before any node exists.
+
+    Raises:
+        ConfigError: for a name that is not in the table (ROS itself ignores those) or a value that does not fit.
+    """
+    rows = {row.name: row for row in table}
+    for name, value in given.items():
+        if name == "use_sim_time":
+            continue
+        if name not in rows:
+            near = difflib.get_close_matches(name, rows, n=1)
+            advice = f"did you mean {near[0]}?" if near else f"it has {', '.join(rows)}"
+            raise ConfigError(f"{owner} has no parameter {name!r}: {advice}")
+        if complaint := rows[name].complaint(value):
+            raise ConfigError(f"{owner}: {complaint}")
 
 
 def markdown(table: Iterable[Param]) -> str:

@@ -18,8 +18,9 @@ _RETRIES = 600  # each try blocks for up to 0.1 s while the slowest reader catch
 class PatientPublisher:
     """Publishes on one topic; holds messages back until the expected number of readers is there.
 
-    A reader that joins late would miss the first samples of a run, and with them the right answer to every rank question.
-    In lockstep the first message is therefore held until all expected readers are connected, which stops the loop by itself.
+    A reader that joins late would miss the first samples of a run, and with them the right answer to every rank
+    question. In lockstep the first message is therefore held until all expected readers are connected, which stops the
+    loop by itself.
     """
 
     def __init__(self, node: Node, topic: Topic, *, lockstep: bool, sample_time: float = 0.0, readers: int = 0) -> None:
