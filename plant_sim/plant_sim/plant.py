@@ -117,3 +117,23 @@ def system_prior(system: DescriptorSystem) -> StructurePrior:
     """The true (n, q, r, s)."""
     form = system.weierstrass()
     return StructurePrior(n=system.n, q=form.q, r=form.r, s=form.s)
+
+
+def suggested_settings(system: DescriptorSystem) -> dict[str, Any]:
+    """Controller settings that suit the size of a linear plant.
+
+    N reaches back over the lag that generic outputs need plus two samples, L looks twice as far ahead, and T is the
+    least record whose Hankel matrix of depth N + L can have full rank m (N + L) + q, plus a tenth.
+    """
+    q, s = system.weierstrass().q, system.weierstrass().s
+    N = max(2, -(-q // max(1, system.p)) + 2) + s - 1
+    L = 2 * N
+    T = (system.m + 1) * (N + L) + q + s
+    return {
+        "N": N,
+        "L": L,
+        "T": T + -(-T // 10),
+        "Q": [1.0] * system.p,
+        "R": [1.0] * system.m,
+        "terminal": "equilibrium",
+    }

@@ -56,7 +56,7 @@ def _weakest_at(A: Array, B: Array, z: complex) -> tuple[float, Array]:
     q = len(A)
     point = z.real if z.imag == 0 else z
     M = np.hstack([A - point * np.eye(q), B])
-    R = np.linalg.qr(M.conj().T, mode="r")
+    R = np.asarray(np.linalg.qr(M.conj().T, mode="r"))
     diagonal = np.abs(R.diagonal())
     tiny = EPS * max(float(diagonal.max()), 1e-300)
     weak = diagonal < tiny
