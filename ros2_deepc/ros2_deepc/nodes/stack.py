@@ -8,7 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from rclpy.context import Context
@@ -30,15 +30,17 @@ class Stack:
 
     Attributes:
         observer: sees what goes over the topics.
+        executor: of this process, with the observer on it.
         spinner: runs this process's share of it.
         failure: one line on why a node gave up; empty while all is well.
         finish: stops all nodes, the recorder last, once everything published has been written.
     """
 
     observer: Observer
+    executor: Executor
     spinner: Spinner
     failure: Callable[[], str]
-    finish: Callable[[], None] = field(default=lambda: None)
+    finish: Callable[[], None]
 
 
 @contextmanager
@@ -88,7 +90,7 @@ def running(
             zone = _InProcess(roles, arguments, context, spin, spinner)
         cleanup.callback(zone.finish)
         zone.start()
-        yield Stack(observer, spinner, zone.failure, zone.finish)
+        yield Stack(observer, spin, spinner, zone.failure, zone.finish)
 
 
 class _InProcess:

@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the bag holds is what went over the topics: every message of every topic, read by code that others wrote."""
+
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rclpy.node import Node
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from ros2_deepc.nodes.config import merged, save
+from ros2_deepc.nodes.stack import running
+from ros2_deepc.ros import topics
+from ros2_deepc.ros.qos import profile
+
+ZONE = "/zone"
+STEPS = 120
+ROLES = ("recorder", "monitor", "controller", "operator", "plant")
+
+
+class Listener(Node):
+    """Hears everything, as its own subscriber."""
+
+    def __init__(self, **kwargs):
+        super().__init__("listener", **kwargs)
+        self.heard = defaultdict(list)
+        for topic in topics.ALL:
+            self.create_subscription(topic.type, topic.name, self._keeps(topic), profile(topic))
+
+    def _keeps(self, topic):
+        name = self.resolve_topic_name(topic.name)
+        return lambda msg: self.heard[name].append(msg)
+
+
+def plain(value):
+    """A message of any library as nested lists and dictionaries."""
+    if isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, (bytes, bytearray)):
+        return list(value)
+    if isinstance(value, np.generic):
+        return value.item()
+    if hasattr(value, "get_fields_and_field_types"):
+        return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if hasattr(value, "__slots__") and not hasattr(value, "__len__"):
+        return {name: plain(getattr(value, name)) for name in value.__slots__}
+    if hasattr(value, "__dataclass_fields__"):
+        return {name: plain(getattr(value, name)) for name in value.__dataclass_fields__ if name != "__msgtype__"}
+    return [plain(item) for item in value]
+
+
+def same(a, b):
+    """Equality where NaN equals NaN."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, list):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b, strict=True))
+    return a == b or (a != a and b != b)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory, domain_id, parameters_of):
+    """A run, the bag's folder and what a listener heard."""
+    out = tmp_path_factory.mktemp("recorded")
+    changes = {
+        "plant": {"steps": STEPS, "readers": 5},
+        "controller": {"readers_inputs": 4, "readers_state": 3},
+        "monitor": {"readers": 3, "log": str(out / "verdicts")},
+        "operator": {"readers": 3},
+        "recorder": {"folder": str(out / "bag")},
+    }
+    save(merged(parameters_of("wscc9"), changes), out / "parameters.yaml")
+    with running(ROLES, out / "parameters.yaml", namespace=ZONE, domain_id=domain_id) as stack:
+        listener = Listener(context=stack.observer.context, namespace=ZONE, use_global_arguments=False)
+        stack.executor.add_node(listener)
+        stack.spinner.until(
+            lambda: len(listener.heard[f"{ZONE}/controller/state"]) == STEPS
+            and len(listener.heard[f"{ZONE}/monitor/report"]) == STEPS // 10
+        )
+        assert not stack.failure()
+        stack.finish()
+        listener.destroy_node()
+    return out, listener.heard
+
+
+def check(heard, found):
+    """Everything but the best-effort clock must be there, in order, equal."""
+    for topic in topics.ALL:
+        name = topic.name if topic.name.startswith("/") else f"{ZONE}/{topic.name}"
+        if topic is topics.CLOCK:
+            known = [plain(msg) for msg in heard[name]]
+            assert all(msg in known for msg in found[name])
+            continue
+        expected = [plain(msg) for msg in heard[name]]
+        assert len(found[name]) == len(expected) > 0, name
+        for a, b in zip(found[name], expected, strict=True):
+            assert same(a, b), f"{name}: {a} is not {b}"
+
+
+def test_counts(recorded):
+    _, heard = recorded
+    assert len(heard[f"{ZONE}/outputs"]) == STEPS
+    assert len(heard[f"{ZONE}/inputs"]) == STEPS + 1  # the controller answers the last outputs, too
+    assert len(heard[f"{ZONE}/reference"]) == 2
+
+
+def test_mcap_ros2_support_reads_every_message(recorded):
+    out, heard = recorded
+    found = defaultdict(list)
+    with (out / "bag" / "bag_0.mcap").open("rb") as file:
+        for _, channel, _, msg in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+            found[channel.topic].append(plain(msg))
+    check(heard, found)
+
+
+def test_rosbags_reads_every_message(recorded):
+    out, heard = recorded
+    found = defaultdict(list)
+    with AnyReader([Path(out / "bag")], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        for connection, _, data in reader.messages():
+            found[connection.topic].append(plain(reader.deserialize(data, connection.msgtype)))
+    check(heard, found)
+
+
+def test_the_monitor_logs_its_reports(recorded):
+    out, heard = recorded
+    with (out / "verdicts" / "verdicts_0.mcap").open("rb") as file:
+        logged = [plain(m) for *_, m in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()]
+    expected = [plain(msg) for msg in heard[f"{ZONE}/monitor/report"]]
+    assert len(logged) == len(expected)
+    assert all(same(a, b) for a, b in zip(logged, expected, strict=True))
+
+
+def test_nothing_says_incomplete_after_a_clean_end(recorded):
+    out, _ = recorded
+    for bag in ("bag", "verdicts"):
+        assert not (out / bag / "INCOMPLETE").exists()
+        assert (out / bag / "metadata.yaml").exists()
