@@ -105,13 +105,14 @@ def _outputs(axis: Axes, run: Run, x: Array, group: list[int]) -> None:
     for i, color in zip(group, colors, strict=True):
         axis.plot(*thin(x, run.y[:, i]), color=color, linewidth=1.9, zorder=3)
         axis.plot(*_steps(x, run.ref[:, i]), color=REFERENCE, linewidth=1.2, linestyle=(0, (4, 2.5)), zorder=2)
-    if len(group) <= len(INPUTS):
-        _name_lines(axis, run.y[:, group], [run.output_names[i] for i in group], colors)
     single = group[0] if len(group) == 1 else None
-    if single is not None and np.isfinite(run.ref[:, single]).any():
-        _name_reference(axis, run, single)
+    ends = [(_last(run.y[:, i]), run.output_names[i], color, True) for i, color in zip(group, colors, strict=True)]
+    if single is not None:
+        ends.append((_last(run.ref[:, single]), "reference", MUTED, False))
     name = "outputs" if single is None else run.output_names[single]
     _label(axis, name, run.output_units[group[0]] if len({run.output_units[i] for i in group}) == 1 else "")
+    if len(group) <= len(INPUTS):
+        _name_ends(axis, [end for end in ends if np.isfinite(end[0])])
 
 
 def _inputs(axis: Axes, run: Run, x: Array) -> None:
@@ -122,12 +123,11 @@ def _inputs(axis: Axes, run: Run, x: Array) -> None:
     limits = {float(v) for v in (*run.input_min, *run.input_max) if np.isfinite(v)}
     for limit in sorted(limits)[:8]:
         axis.axhline(limit, color=INK, linewidth=0.9, linestyle=(0, (1, 1.5)), zorder=2)
-    if len(limits) <= 2 and limits:
-        axis.annotate("limit", (1, max(limits)), xycoords=("axes fraction", "data"), xytext=(6, 0),
-                      textcoords="offset points", va="center", fontsize=9, color=MUTED)  # fmt: skip
-    if m <= len(INPUTS):
-        _name_lines(axis, run.u, run.input_names, INPUTS)
     _label(axis, "inputs", run.input_units[0] if len(set(run.input_units)) == 1 else "")
+    if m <= len(INPUTS):
+        ends = [(_last(run.u[:, i]), run.input_names[i], INPUTS[i], True) for i in range(m)]
+        ends += [(max(limits), "limit", MUTED, False)] if len(limits) in (1, 2) else []
+        _name_ends(axis, [end for end in ends if np.isfinite(end[0])])
 
 
 def _verdicts(axis: Axes, run: Run, x: Array) -> None:
@@ -201,27 +201,28 @@ def _steps(x: Array, y: Array) -> tuple[Array, Array]:
     return np.array(xs), np.array(ys)
 
 
-def _name_lines(axis: Axes, lines: Array, names: Sequence[str], colors: Sequence[str]) -> None:
-    """Writes each line's name beside its end, moved apart where they would overlap."""
+def _name_ends(axis: Axes, ends: Sequence[tuple[float, str, str, bool]]) -> None:
+    """Writes names beside the ends of lines, moved apart where they would overlap.
+
+    Args:
+        axis: the panel.
+        ends: last value, name, colour, and whether it is one of the run's signals (bold).
+    """
     low, high = axis.get_ylim()
-    known = [(lines[np.flatnonzero(np.isfinite(lines[:, i]))[-1:], i], i) for i in range(lines.shape[1])]
-    ends = sorted((float(end[0] - low) / (high - low), i) for end, i in known if len(end))
-    gap, place = 0.19, -1.0
-    top = 1.0 - gap * (len(ends) - 1)
-    for rank, (want, i) in enumerate(ends):
+    height = axis.get_position().height * axis.get_figure().get_figheight() * 72  # in points
+    gap, place = 15.5 / height, 0.0
+    wanted = sorted(((value - low) / (high - low), not bold, name, color, bold) for value, name, color, bold in ends)
+    top = 1.02 - gap * (len(wanted) - 1)
+    for rank, (want, _, name, color, bold) in enumerate(wanted):
         place = max(min(want, top + gap * rank), place + gap if rank else want)
-        axis.text(1.008, place, names[i], transform=axis.transAxes, color=colors[i], va="center", fontweight="bold")
+        weight, size = ("bold", 11) if bold else ("normal", 9.5)
+        axis.text(1.008, place, name, transform=axis.transAxes, color=color, va="center", fontweight=weight, size=size)
 
 
-def _name_reference(axis: Axes, run: Run, i: int) -> None:
-    y, ref = run.y[:, i], run.ref[:, i]
-    low, high = axis.get_ylim()
-    end_y, end_ref = y[np.flatnonzero(np.isfinite(y))[-1]], ref[np.flatnonzero(np.isfinite(ref))[-1]]
-    apart = abs(end_y - end_ref) / (high - low)
-    side = 1 if end_ref >= end_y else -1
-    shift = 0 if apart > 0.13 else side * 15
-    axis.annotate("reference", (1, end_ref), xycoords=("axes fraction", "data"), xytext=(6, shift),
-                  textcoords="offset points", color=MUTED, va="center", fontsize=9.5)  # fmt: skip
+def _last(values: Array) -> float:
+    """The last known value, or NaN."""
+    known = values[np.isfinite(values)]
+    return float(known[-1]) if len(known) else np.nan
 
 
 def _label(axis: Axes, name: str, unit: str) -> None:

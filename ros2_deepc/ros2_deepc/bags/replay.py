@@ -1,0 +1,239 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Feeds the recorded samples through today's controller and monitors, and says where the answers differ."""
+
+import hashlib
+import os
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .compare import Difference, first_difference
+from .errors import BagError
+from .reader import BagReader
+from .run import find_namespace
+
+Array = NDArray[np.float64]
+# what depends on the clock or on what never reached the topics
+STATE_SKIP = frozenset({"header", "epoch", "prepare_time", "solve_time", "deadline_misses", "refused"})
+REPORT_SKIP = frozenset({"header", "epoch", "data_age", "compute_time"})
+START = 200  # messages kept back at the start of an epoch, at most
+WAITING = 1000  # answers that may wait for their counterpart before they count as missing
+
+
+ANSWERS = {"controller": ("inputs", "controller/state"), "monitor": ("monitor/report",)}  # topics of each part
+Answer = tuple[str, int, Any]  # topic, k, an object with the message's fields
+
+
+class Core(Protocol):
+    """One part of the loop: takes the samples of one epoch and gives back what it would publish."""
+
+    def reference(self, k: int, values: Array) -> list[Answer]:
+        """Takes a reference that holds from k on."""
+
+    def inputs(self, k: int, values: Array) -> list[Answer]:
+        """Takes the inputs recorded for k."""
+
+    def outputs(self, k: int, values: Array, held: int) -> list[Answer]:
+        """Takes outputs k."""
+
+
+CoreFactory = Callable[[Any], Core]  # from the recorded PlantInfo; one Core per epoch
+
+
+@dataclass(slots=True)
+class Replay:
+    """How a replay went.
+
+    Attributes:
+        differences: the first one of each topic.
+        compared: answers compared, by topic.
+        unmatched: answers recorded but not computed or the other way round, by topic; those that were computed for
+            samples after the last one recorded do not count, for a recording ends somewhere.
+        loop_hash: of recomputed inputs and recorded outputs, see ``loop_hash``; "" if no inputs were recomputed.
+    """
+
+    differences: list[Difference] = field(default_factory=list)
+    compared: dict[str, int] = field(default_factory=dict)
+    unmatched: dict[str, int] = field(default_factory=dict)
+    loop_hash: str = ""
+
+    @property
+    def same(self) -> bool:
+        """Whether all that was recorded was computed again, to the bit, and at least one answer was compared."""
+        return not self.differences and not any(self.unmatched.values()) and any(self.compared.values())
+
+
+def replay(
+    bag: str | os.PathLike[str] | BagReader,
+    cores: Mapping[str, CoreFactory],
+    *,
+    namespace: str | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,  # noqa: ARG005
+) -> Replay:
+    """Feeds a bag's samples through cores and compares what they answer with what was recorded.
+
+    Memory does not grow with the bag.
+
+    Args:
+        bag: folder, file or open reader.
+        cores: factory of each part to replay, by its name in ANSWERS.
+        namespace: of the plant; default the only one.
+        progress: called now and then with messages done and in all.
+
+    Raises:
+        BagError: if the bag holds no PlantInfo, or cannot be read.
+    """
+    reader = bag if isinstance(bag, BagReader) else BagReader(bag)
+    prefix = find_namespace(reader, namespace)
+    matcher = _Matcher({topic for name in cores for topic in ANSWERS[name]})
+    feeder: _Feeder | None = None
+    total = reader.message_count
+    for done, (topic, message) in enumerate(_stream(reader, prefix)):
+        if topic == "plant_info":
+            if feeder is not None:
+                feeder.flush()
+            feeder = _Feeder(message, [make(message) for make in cores.values()], matcher)
+        elif feeder is not None:
+            feeder.take(topic, message)
+        if done % 1000 == 0:
+            progress(done, total)
+    if feeder is None:
+        raise BagError(f"bag {reader.path} has no message on {prefix}/plant_info: nothing says what the plant is")
+    feeder.flush()
+    progress(total, total)
+    return matcher.result()
+
+
+_TOPICS = ("plant_info", "outputs", "inputs", "reference", "controller/state", "monitor/report")
+
+
+def _stream(reader: BagReader, prefix: str) -> Iterator[tuple[str, Any]]:
+    for raw, message in reader.decoded([f"{prefix}/{name}" for name in _TOPICS]):
+        yield raw.topic[len(prefix) + 1 :], message
+
+
+class _Feeder:
+    """One epoch: hands the samples to the cores as the nodes would take them.
+
+    A recorder does not see two topics in the order in which a controller saw them. That matters at the start only,
+    where the loop waits for a reference; so messages are kept back until the first sample was answered, and references
+    go first.
+    """
+
+    def __init__(self, info: Any, cores: list[Core], matcher: "_Matcher") -> None:
+        self._epoch, self._cores, self._matcher = info.epoch, cores, matcher
+        self._sizes = {"inputs": len(info.input_names), "outputs": len(info.output_names)}
+        self._k = -1
+        self._kept: list[tuple[str, Any]] | None = []
+
+    def take(self, topic: str, message: Any) -> None:
+        """One recorded message."""
+        if message.epoch != self._epoch:
+            return
+        if self._kept is None:
+            self._deliver(topic, message)
+            return
+        self._kept.append((topic, message))
+        if topic == "controller/state" or len(self._kept) >= START:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hands over what was kept back at the start."""
+        kept, self._kept = self._kept, None
+        for topic, message in sorted(kept or (), key=lambda item: item[0] != "reference"):
+            self._deliver(topic, message)
+
+    def _deliver(self, topic: str, message: Any) -> None:
+        for core in self._cores:
+            for answer in self._ask(core, topic, message):
+                self._matcher.computed(self._epoch, *answer)
+        if topic == "outputs":
+            self._k = max(self._k, message.k)
+            self._matcher.output(message)
+        else:
+            self._matcher.recorded(topic, self._epoch, message)
+
+    def _ask(self, core: Core, topic: str, message: Any) -> list[Answer]:
+        if topic == "reference":
+            return core.reference(message.k, message.values)
+        if topic not in self._sizes or len(message.values) != self._sizes[topic]:
+            return []
+        if not np.isfinite(message.values).all() or message.quality.any():
+            return []
+        if topic == "inputs":
+            return core.inputs(message.k, message.values)
+        return core.outputs(message.k, message.values, message.held) if message.k > self._k else []
+
+
+class _Matcher:
+    """Pairs recorded and computed answers by topic, epoch and k, in whichever order they come."""
+
+    def __init__(self, topics: Collection[str]) -> None:
+        self._result = Replay()
+        self._waiting: dict[str, dict[tuple[int, int], tuple[bool, Any]]] = {topic: {} for topic in topics}
+        self._last: dict[str, int] = dict.fromkeys(topics, -1)
+        self._differs: set[str] = set()
+        self._hash = hashlib.sha256()
+        self._inputs: deque[tuple[int, int, bytes]] = deque(maxlen=WAITING)
+
+    def recorded(self, topic: str, epoch: int, message: Any) -> None:
+        """One recorded answer; of those to the same sample the first one counts."""
+        if topic in self._waiting:
+            self._last[topic] = message.k
+            self._pair(topic, (epoch, message.k), True, message)
+
+    def computed(self, epoch: int, topic: str, k: int, answer: Any) -> None:
+        """One computed answer."""
+        if topic == "inputs":
+            self._inputs.append((epoch, k, np.asarray(answer.values, dtype="<f8").tobytes()))
+        self._pair(topic, (epoch, k), False, answer)
+
+    def output(self, message: Any) -> None:
+        """Recorded outputs, for the hash."""
+        wanted = (message.epoch, message.k - message.held)
+        u = next((data for epoch, k, data in reversed(self._inputs) if (epoch, k) == wanted), None)
+        if u is not None:
+            self._hash.update(u + np.asarray(message.values, dtype="<f8").tobytes())
+
+    def result(self) -> Replay:
+        """Closes the books."""
+        for topic, waiting in self._waiting.items():
+            lost = sum(was_recorded or k <= self._last[topic] for (_, k), (was_recorded, _) in waiting.items())
+            self._result.unmatched[topic] = self._result.unmatched.get(topic, 0) + lost
+        if self._inputs:
+            self._result.loop_hash = self._hash.hexdigest()
+        return self._result
+
+    def _pair(self, topic: str, key: tuple[int, int], recorded: bool, message: Any) -> None:
+        waiting = self._waiting[topic]
+        other = waiting.get(key)
+        if other is None or other[0] == recorded:
+            waiting.setdefault(key, (recorded, message))
+            self._drop_oldest(topic, waiting)
+            return
+        del waiting[key]
+        pair = (message, other[1]) if recorded else (other[1], message)
+        self._compare(topic, key, *pair)
+
+    def _drop_oldest(self, topic: str, waiting: dict[tuple[int, int], tuple[bool, Any]]) -> None:
+        if len(waiting) > WAITING:
+            del waiting[next(iter(waiting))]
+            self._result.unmatched[topic] = self._result.unmatched.get(topic, 0) + 1
+
+    def _compare(self, topic: str, key: tuple[int, int], recorded: Any, computed: Any) -> None:
+        self._result.compared[topic] = self._result.compared.get(topic, 0) + 1
+        if topic in self._differs:
+            return
+        skip = {"inputs": frozenset({"header", "epoch", "quality", "held"}), "monitor/report": REPORT_SKIP}
+        found = first_difference(recorded, computed, skip.get(topic, STATE_SKIP))
+        if found:
+            self._differs.add(topic)
+            path, was, now = found
+            self._result.differences.append(
+                Difference(topic=topic, epoch=key[0], k=key[1], field=path, recorded=was, computed=now)
+            )
