@@ -5,10 +5,11 @@
 from math import inf, log, log10, pi
 
 from .errors import PlantError
-from .hydraulics import CHECK_VALVE_PIPE, PIPE, PUMP, Link, Snapshot
+from .hydraulics import CHECK_VALVE_PIPE, FCV, PBV, PIPE, PRV, PSV, PUMP, Link, Snapshot
 
 FOOT = 0.3048
 GRAVITY = 9.81456  # 32.2 ft/s2, EPANET's
+HELD = 1e-3  # m: a valve that holds a head is this close to its setting
 
 
 def _darcy_weisbach(link: Link, flow: float, viscosity: float) -> float:
@@ -59,29 +60,64 @@ def pump_slope(link: Link, flow: float, gain: float) -> float:
         factor = (h0 - h1) / q1**exponent
     else:
         return _piecewise_slope(link, flow)
-    return float(factor * exponent * link.speed ** (2 - exponent) * flow ** (exponent - 1))
+    return float(factor * exponent * link.setting ** (2 - exponent) * flow ** (exponent - 1))
 
 
 def _piecewise_slope(link: Link, flow: float) -> float:
     """-dh/dQ of a curve given by points: the affinity laws scale flow by the speed and head by its square."""
-    at = flow / link.speed
+    at = flow / link.setting
     segments = list(zip(link.curve, link.curve[1:], strict=False))
     for (q1, h1), (q2, h2) in segments:
         if at <= q2 or (q2, h2) == link.curve[-1]:
-            return (h1 - h2) / (q2 - q1) * link.speed
+            return (h1 - h2) / (q2 - q1) * link.setting
     raise PlantError(f"the head curve of pump {link.name} has a single point that is not a design point")
 
 
 def conductance(link: Link, network: Snapshot, flow_floor: float = 1e-5) -> float:
-    """dQ/dh [m2/s] of a link at the network's steady state, |Q| floored at ``flow_floor``; 0 if the link is closed."""
-    if not link.open:
+    """dQ/dh [m2/s] of a link at the network's steady state, |Q| floored at ``flow_floor``.
+
+    0 if the link is closed or holds its flow (FCV); infinite if it holds its head loss (PBV).
+    """
+    if not link.open or holds(link, network) == "flow":
         return 0.0
     flow = max(abs(link.flow), flow_floor)
     heads = [network.nodes[i].head for i in link.ends]
     if link.kind == PUMP:
-        slope = pump_slope(link, flow, abs(heads[1] - heads[0]))
+        slope = pump_slope(link, flow, heads[1] - heads[0])
     elif link.kind in (PIPE, CHECK_VALVE_PIPE):
         slope = pipe_slope(link, flow, network.formula, network.viscosity)
-    else:
+    elif holds(link, network) == "loss":
+        slope = 0.0
+    else:  # an open valve: its loss grows with the square of the flow
         slope = 2 * abs(heads[1] - heads[0]) / flow
     return 1 / slope if slope > 0 else inf
+
+
+def holds(link: Link, network: Snapshot) -> str:
+    """What a valve holds just now: "downstream" or "upstream" head, "flow", head "loss", or "" for nothing."""
+    if not link.open or link.setting <= 0:
+        return ""
+    upstream, downstream = (network.nodes[i] for i in link.ends)
+    if link.kind == PRV and abs(downstream.head - downstream.elevation - link.setting) < HELD:
+        return "downstream"
+    if link.kind == PSV and abs(upstream.head - upstream.elevation - link.setting) < HELD:
+        return "upstream"
+    if link.kind == FCV and abs(link.flow - link.setting) < 1e-6 + 1e-4 * link.setting:
+        return "flow"
+    return "loss" if link.kind == PBV else ""
+
+
+def speed_gain(link: Link, network: Snapshot, flow_floor: float = 1e-5) -> float:
+    """Flow gained per relative speed [m3/s] at fixed heads, by the affinity laws h = w^2 f(Q / w).
+
+    Raises:
+        PlantError: if the pump is off or runs at constant power.
+    """
+    if not link.open or link.setting <= 0:
+        raise PlantError(f"pump {link.name} is off at this hour, so its speed has no effect")
+    if link.constant_power:
+        raise PlantError(f"pump {link.name} runs at constant power, so its speed is not an input")
+    flow = max(abs(link.flow), flow_floor)
+    head = network.nodes[link.ends[1]].head - network.nodes[link.ends[0]].head
+    slope = pump_slope(link, flow, head)
+    return (2 * head + flow * slope) / link.setting / slope

@@ -151,7 +151,7 @@ def load_case(source: str | Path | Mapping[str, Any] | Any, name: str | None = N
     dead = _islands_without(len(buses), branches, len(rating))
     if dead:
         names = ", ".join(str(buses[i]) for i in dead[:10]) + (", ..." if len(dead) > 10 else "")
-        raise PlantError(f"no machine reaches {len(dead)} buses ({names}): remove them or set their type to 4")
+        raise PlantError(f"no machine reaches {len(dead)} buses: {names}; remove them or give them type 4")
     return GridCase(
         name=name or "grid",
         buses=tuple(buses),

@@ -14,15 +14,16 @@ from .errors import PlantError
 
 # EPANET's own numbers for the kinds of nodes and links
 JUNCTION, RESERVOIR, TANK = 0, 1, 2
-CHECK_VALVE_PIPE, PIPE, PUMP = 0, 1, 2
+CHECK_VALVE_PIPE, PIPE, PUMP, PRV, PSV, PBV, FCV = 0, 1, 2, 3, 4, 5, 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Node:
-    """A junction, reservoir or tank; head in m, area in m2 (0 unless a tank)."""
+    """A junction, reservoir or tank; elevation and head in m, area in m2 (0 unless a tank)."""
 
     name: str
     kind: int
+    elevation: float
     head: float
     area: float
 
@@ -31,7 +32,8 @@ class Node:
 class Link:
     """A pipe, pump or valve; flow in m3/s from node ``ends[0]`` to ``ends[1]`` (0-based), lengths in m.
 
-    ``curve`` holds the points (m3/s, m) of a pump's head curve, ``constant_power`` marks a pump without one.
+    ``setting`` is a pump's relative speed, or what a valve holds (m or m3/s; 0 if it does not act). ``curve`` holds the
+    points (m3/s, m) of a pump's head curve, ``constant_power`` marks a pump without one.
     """
 
     name: str
@@ -43,7 +45,7 @@ class Link:
     diameter: float = 0.0
     roughness: float = 0.0
     minor_loss: float = 0.0
-    speed: float = 1.0
+    setting: float = 0.0
     curve: tuple[tuple[float, float], ...] = ()
     constant_power: bool = False
 
@@ -91,20 +93,25 @@ def project(path: Path) -> Iterator[Any]:
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.txt"
         handle = toolkit.createproject()
+        rejected = None
         try:
-            try:
-                toolkit.open(handle, str(path), str(report), "")
-            except Exception as error:
-                complaints = [
-                    line.strip() for line in report.read_text(errors="replace").splitlines() if "Error" in line
-                ]
-                detail = "; ".join(complaints[:3]) or str(error)
-                raise PlantError(f"EPANET cannot read {path.name}: {detail}") from None
+            toolkit.open(handle, str(path), str(report), "")
             toolkit.setflowunits(handle, toolkit.CMS)
-            yield handle
-            toolkit.close(handle)
-        finally:
-            toolkit.deleteproject(handle)
+            toolkit.setoption(handle, toolkit.PRESS_UNITS, toolkit.METERS)
+        except Exception as error:
+            rejected = str(error)
+        if rejected is None:
+            try:
+                yield handle
+            finally:
+                toolkit.close(handle)
+                toolkit.deleteproject(handle)
+            return
+        toolkit.close(handle)  # only now is the report complete
+        toolkit.deleteproject(handle)
+        lines = [line.strip() for line in report.read_text(errors="replace").splitlines()] if report.is_file() else []
+        found = [" ".join(lines[i : i + 2]) for i, line in enumerate(lines) if line.startswith("Error")]
+        raise PlantError(f"EPANET cannot read {path.name}: {'; '.join(found[:3]) or rejected}")
 
 
 def _solve(handle: Any, hour: float, name: str) -> list[str]:
@@ -126,11 +133,13 @@ def _solve(handle: Any, hour: float, name: str) -> list[str]:
         if time >= target or toolkit.nextH(handle) <= 0:
             break
     if time != target:
-        raise PlantError(f"{name} has no instant at hour {hour:g}: EPANET stopped at {time / 3600:g} h")
+        raise PlantError(f"{name} has no solution at hour {hour:g}: its steps lead to hour={time / 3600:.6g} instead")
     relative = toolkit.getstatistic(handle, toolkit.RELATIVEERROR)
     if not relative <= 1e-6:
         raise PlantError(f"EPANET does not converge on {name} at hour {hour:g}: relative flow change {relative:.1e}")
-    return [str(w.message) for w in caught]
+    return ["EPANET warns at this hour: pressures below zero, or pumps or valves that cannot do what is asked"] * bool(
+        caught
+    )
 
 
 def _curve(handle: Any, index: int) -> tuple[tuple[float, float], ...]:
@@ -154,10 +163,10 @@ def _link(handle: Any, index: int) -> Link:
     if kind == PUMP:
         constant = toolkit.getpumptype(handle, index) == toolkit.CONST_HP
         curve = () if constant else _curve(handle, toolkit.getheadcurveindex(handle, index))
-        return Link(**common, speed=value("SETTING"), curve=curve, constant_power=constant)
+        return Link(**common, setting=value("SETTING"), curve=curve, constant_power=constant)
     pipe: dict[str, Any] = {"length": value("LENGTH"), "roughness": value("ROUGHNESS")}
     if kind not in (PIPE, CHECK_VALVE_PIPE):
-        pipe = {}
+        pipe = {"setting": value("SETTING")}
     return Link(**common, **pipe, diameter=value("DIAMETER") / 1000, minor_loss=value("MINORLOSS"))
 
 
@@ -168,6 +177,7 @@ def _node(handle: Any, index: int) -> Node:
     return Node(
         name=toolkit.getnodeid(handle, index),
         kind=kind,
+        elevation=toolkit.getnodevalue(handle, index, toolkit.ELEVATION),
         head=toolkit.getnodevalue(handle, index, toolkit.HEAD),
         area=3.141592653589793 * diameter**2 / 4,
     )

@@ -48,6 +48,7 @@ class Plant:
         settings: suggested controller settings (N, L, T, Q, R, terminal).
         steps: suggested length of a run.
         begin: makes a running plant from a random generator.
+        notes: what was assumed or left out when the plant was made from a file.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Plant:
     settings: Mapping[str, Any]
     steps: int
     begin: Callable[[np.random.Generator], Stepper]
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         put = object.__setattr__

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from .arrays import Array
-from .conductance import conductance
+from .arrays import Array, frozen
+from .conductance import conductance, holds, speed_gain
 from .descriptor import DescriptorSystem
 from .errors import PlantError
-from .hydraulics import JUNCTION, RESERVOIR, TANK, Snapshot, snapshot
-from .plant import Plant, linear_start, system_prior
+from .hydraulics import JUNCTION, PUMP, RESERVOIR, TANK, Link, Snapshot, snapshot
+from .plant import Plant, linear_start, suggested_settings, system_prior
+from .swing import Discretisation, discretise
 
 FLOW_FLOOR = 1e-5  # m3/s: a link at rest would have infinite conductance
 CONDUCTANCE_CAP = 1e3  # m2/s: a few very short pipes; time constants change by less than 0.01 %
@@ -21,81 +22,243 @@ CONDUCTANCE_CAP = 1e3  # m2/s: a few very short pipes; time constants change by 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeadModel:
-    """Deviation heads [m] of all nodes: storage_i dx_i/dt = sum_j g_ij (x_j - x_i) + injection_i, reservoirs constant.
+    """Deviation heads [m]: storage dx/dt = flow x + carry injection, reservoirs constant.
 
     Attributes:
         names: the n nodes in the order of the states: reservoirs, tanks, junctions.
+        dynamic: number of reservoirs and tanks.
         storage: tank areas [m2], 1 for reservoirs, 0 for junctions; shape (n,).
-        flow: right-hand side per head [m2/s], zero rows for reservoirs; shape (n, n).
+        flow: net inflow of each node per head [m2/s]; zero rows for reservoirs; shape (n, n).
+        carry: which balance an injection at a node enters: its own, or that of the other end of a valve that holds the
+            node's head; shape (n, n).
         floored: links whose flow was below the floor.
         capped: links whose conductance was capped.
+        left_out: nodes that closed links cut off from every reservoir and tank.
     """
 
     names: tuple[str, ...]
+    dynamic: int
     storage: Array
     flow: Array
+    carry: Array
     floored: tuple[str, ...]
     capped: tuple[str, ...]
+    left_out: tuple[str, ...]
 
-    def index(self, name: str) -> int:
-        """State of the node ``name``.
+    def head(self, name: str) -> Array:
+        """Unit vector of a node's head, shape (n,).
 
         Raises:
             PlantError: if the model has no such node.
         """
-        try:
-            return self.names.index(name)
-        except ValueError:
-            raise PlantError(f"the network has no node {name!r}") from None
-
-    def unit(self, name: str | None) -> Array:
-        """Unit vector of a node, shape (n,); zero for None."""
+        if name in self.left_out:
+            raise PlantError(f"node {name} is cut off by closed links at this hour")
+        if name not in self.names:
+            raise PlantError(f"the network has no node {name!r}")
         e = np.zeros(len(self.names))
-        if name is not None:
-            e[self.index(name)] = 1.0
+        e[self.names.index(name)] = 1.0
         return e
+
+
+def _conductances(network: Snapshot) -> tuple[list[float], tuple[str, ...], tuple[str, ...]]:
+    """Capped conductances of all links; names of the floored and of the capped ones."""
+    values, floored, capped = [], [], []
+    for link in network.links:
+        g = conductance(link, network, FLOW_FLOOR)
+        if g > 0 and abs(link.flow) < FLOW_FLOOR:
+            floored.append(link.name)
+        if g > CONDUCTANCE_CAP:
+            capped.append(link.name)
+        values.append(min(g, CONDUCTANCE_CAP))
+    return values, tuple(floored), tuple(capped)
+
+
+def _held(network: Snapshot) -> dict[int, int]:
+    """Junctions whose head a valve holds, and the node at the valve's other end (0-based)."""
+    held = {}
+    for link in network.links:
+        what = holds(link, network)
+        if what == "downstream":
+            held[link.ends[1]] = link.ends[0]
+        elif what == "upstream":
+            held[link.ends[0]] = link.ends[1]
+    return {node: other for node, other in held.items() if network.nodes[node].kind == JUNCTION}
+
+
+def _anchored(network: Snapshot, conductances: list[float], held: dict[int, int]) -> set[int]:
+    """Nodes whose heads are determined: connected to a reservoir, a tank or a held head."""
+    neighbours: dict[int, list[int]] = {}
+    for link, g in zip(network.links, conductances, strict=True):
+        if g > 0:
+            neighbours.setdefault(link.ends[0], []).append(link.ends[1])
+            neighbours.setdefault(link.ends[1], []).append(link.ends[0])
+    frontier = [i for i, node in enumerate(network.nodes) if node.kind != JUNCTION or i in held]
+    found = set(frontier)
+    while frontier:
+        new = [j for j in neighbours.get(frontier.pop(), []) if j not in found]
+        found.update(new)
+        frontier += new
+    return found
 
 
 def head_model(network: Snapshot, first: Sequence[str] = ()) -> HeadModel:
     """Linearises ``network``; the junctions named in ``first`` lead the others."""
+    conductances, floored, capped = _conductances(network)
+    held = _held(network)
+    # The flow of a valve that holds a head is no function of the heads: it couples the ends only through `carry`.
+    holding = {frozenset(pair) for pair in held.items()}
+    free = [
+        0.0 if frozenset(link.ends) in holding and holds(link, network) in ("downstream", "upstream") else g
+        for link, g in zip(network.links, conductances, strict=True)
+    ]
+    anchored = _anchored(network, free, held)
+    rank = {name: i for i, name in enumerate(first)}
+    kinds = (RESERVOIR, TANK, JUNCTION)
     order = sorted(
-        range(len(network.nodes)),
-        key=lambda i: (
-            (RESERVOIR, TANK, JUNCTION).index(network.nodes[i].kind),
-            first.index(network.nodes[i].name) if network.nodes[i].name in first else len(first),
-        ),
+        anchored,
+        key=lambda i: (kinds.index(network.nodes[i].kind), rank.get(network.nodes[i].name, len(rank)), i),
     )
     position = {node: state for state, node in enumerate(order)}
     nodes = [network.nodes[i] for i in order]
     flow = np.zeros((len(nodes), len(nodes)))
-    floored, capped = [], []
-    for link in network.links:
-        g = conductance(link, network, FLOW_FLOOR)
-        if link.open and abs(link.flow) < FLOW_FLOOR:
-            floored.append(link.name)
-        if g > CONDUCTANCE_CAP:
-            capped.append(link.name)
-            g = CONDUCTANCE_CAP
-        i, j = position[link.ends[0]], position[link.ends[1]]
-        flow[[i, j], [i, j]] -= g
-        flow[[i, j], [j, i]] += g
+    for link, g in zip(network.links, free, strict=True):
+        if g > 0 and link.ends[0] in position:
+            i, j = position[link.ends[0]], position[link.ends[1]]
+            flow[[i, j], [i, j]] -= g
+            flow[[i, j], [j, i]] += g
+    carry = np.eye(len(nodes))
+    for node in held:
+        end, seen = held[node], {node}
+        while end in held and end not in seen:
+            seen.add(end)
+            end = held[end]
+        carry[position[node]] = 0.0
+        if end in position and end not in held:
+            carry[position[end], position[node]] = 1.0
+    flow = carry @ flow
+    for node in held:
+        flow[position[node], position[node]] = -1.0
     flow[[node.kind == RESERVOIR for node in nodes]] = 0.0
     return HeadModel(
         names=tuple(node.name for node in nodes),
-        storage=np.array([1.0 if node.kind == RESERVOIR else node.area for node in nodes]),
-        flow=flow,
-        floored=tuple(floored),
-        capped=tuple(capped),
+        dynamic=sum(node.kind != JUNCTION for node in nodes),
+        storage=frozen(np.array([1.0 if node.kind == RESERVOIR else node.area for node in nodes])),
+        flow=frozen(flow),
+        carry=frozen(carry),
+        floored=floored,
+        capped=capped,
+        left_out=tuple(node.name for i, node in enumerate(network.nodes) if i not in anchored),
+    )
+
+
+def _pump(network: Snapshot, name: str) -> Link:
+    for link in network.links:
+        if link.kind == PUMP and link.name == name:
+            return link
+    raise PlantError(f"the network has no pump {name!r}")
+
+
+def _input_column(model: HeadModel, network: Snapshot, name: str) -> tuple[Array, str]:
+    """Inflow that a unit of an input causes at each node [m3/s], shape (n,), and the input's unit."""
+    if not name.startswith("pump:"):
+        return model.carry @ model.head(name), "m3/s"
+    pump = _pump(network, name.removeprefix("pump:"))
+    ends = [model.head(network.nodes[i].name) for i in pump.ends]
+    column = speed_gain(pump, network, FLOW_FLOOR) * (model.carry @ (ends[1] - ends[0]))
+    column[[network.nodes[network.index(node)].kind == RESERVOIR for node in model.names[: model.dynamic]]
+           + [False] * (len(model.names) - model.dynamic)] = 0.0  # fmt: skip
+    return column, "1"
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+
+
+def _notes(model: HeadModel, network: Snapshot) -> tuple[str, ...]:
+    notes = [
+        (model.floored, f"links at rest, flow taken as {FLOW_FLOOR:g} m3/s"),
+        (model.capped, f"links with conductance capped at {CONDUCTANCE_CAP:g} m2/s"),
+        (model.left_out, "nodes left out, cut off by closed links"),
+    ]
+    return tuple(f"{what}: {_some(names)}" for names, what in notes if names) + network.warnings
+
+
+def from_inp(
+    path: str | Path,
+    hour: float = 0.0,
+    *,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    tau: float = 3600.0,
+    discretisation: Discretisation = "exact",
+    limit: float = 0.1,
+    first: Sequence[str] = (),
+) -> Plant:
+    """Linear model of the heads of any EPANET network around its own steady state at ``hour``.
+
+    Args:
+        path: the .inp file.
+        hour: instant of the file's own schedule, h.
+        inputs: nodes to inject water at (m3/s), or "pump:NAME" for the relative speed of a running pump; by default all
+            running pumps that have a head curve.
+        outputs: nodes whose heads (m) are measured; by default the tanks.
+        tau: sample time, s.
+        discretisation: "exact" (zero-order hold), "implicit" or "euler".
+        limit: input limit, in the units of the inputs.
+        first: junctions that come first among the states.
+
+    Raises:
+        PlantError: if EPANET cannot read or solve the file, or an input or output does not exist.
+
+    Warns:
+        UserWarning: if forward Euler is unstable at this tau.
+    """
+    network = snapshot(path, hour)
+    model = head_model(network, first)
+    name = Path(path).stem
+    if inputs is None:
+        inputs = [
+            f"pump:{link.name}" for link in network.links
+            if link.kind == PUMP and link.open and link.setting > 0 and not link.constant_power
+        ]  # fmt: skip
+    if outputs is None:
+        outputs = [node.name for node in network.nodes if node.kind == TANK]
+    if not inputs or not outputs:
+        raise PlantError(f"{name} has no running pump or no tank at hour {hour:g}: name nodes as inputs and as outputs")
+    columns, units = zip(*(_input_column(model, network, node) for node in inputs), strict=True)
+    C = np.vstack([model.head(node) for node in outputs])
+    E, A, B = discretise(
+        np.diag(model.storage), -model.flow, np.column_stack(columns), model.dynamic, tau, discretisation
+    )
+    system = DescriptorSystem(E, A, B, C)
+    return Plant(
+        name=name,
+        variant=f"hour {hour:g}",
+        description=(
+            f"EPANET network {name} at hour {hour:g}, linearised: {model.dynamic} reservoirs and tanks, "
+            f"{system.n - model.dynamic} junctions; deviation heads."
+        ),
+        sample_time=tau,
+        system=system,
+        input_names=tuple(inputs),
+        input_units=tuple(units),
+        output_names=tuple(outputs),
+        output_units=("m",) * len(outputs),
+        input_min=np.full(len(inputs), -limit),
+        input_max=np.full(len(inputs), limit),
+        prior=system_prior(system),
+        D=system.D,
+        references=((0, np.zeros(len(outputs))),),
+        settings=suggested_settings(system),
+        steps=200,
+        begin=linear_start(system, lambda _: np.zeros(system.n)),
+        notes=_notes(model, network),
     )
 
 
 NET3 = Path(__file__).parent / "data" / "Net3.inp"
 RIVER, LAKE = "River", "Lake"
-_NET3_INPUTS = {
-    "junction": (None, "60", None),
-    "river": (RIVER, "60", None),
-    "all": (RIVER, "60", LAKE),
-}
+_NET3_INPUTS = {"junction": (None, None), "river": (RIVER, None), "all": (RIVER, LAKE)}
 
 
 def net3(hour: int = 5, inputs: str = "junction") -> Plant:
@@ -115,12 +278,14 @@ def net3(hour: int = 5, inputs: str = "junction") -> Plant:
     if inputs not in _NET3_INPUTS:
         raise PlantError(f"net3 has no inputs {inputs!r}: choose {', '.join(_NET3_INPUTS)}")
     tau = 8640.0
-    model = head_model(snapshot(NET3, hour), first=("60", "61"))
-    E = np.diag(model.storage)
-    B = np.column_stack([
-        (tau if name == "60" else 1.0) * model.unit(name) for name in _NET3_INPUTS[inputs]
-    ])  # fmt: skip
-    system = DescriptorSystem(E, E + tau * model.flow, B, np.vstack([model.unit(LAKE), model.unit("3")]))
+    network = snapshot(NET3, hour)
+    model = head_model(network, first=("60", "61"))
+    E, A, B = discretise(
+        np.diag(model.storage), -model.flow, np.column_stack([model.head("60")] * 3), model.dynamic, tau, "euler"
+    )
+    for column, reservoir in zip((0, 2), _NET3_INPUTS[inputs], strict=True):
+        B[:, column] = 0.0 if reservoir is None else model.head(reservoir)
+    system = DescriptorSystem(E, A, B, np.vstack([model.head(LAKE), model.head("3")]))
     start = np.zeros(system.n)
     start[:5] = 2.0, 4.0, 3.0, 2.5, 2.0
     return Plant(
@@ -144,4 +309,5 @@ def net3(hour: int = 5, inputs: str = "junction") -> Plant:
         settings={"N": 5, "L": 12, "T": 100, "Q": [5.0, 5.0], "R": [1.0, 1.0, 1.0], "terminal": "equilibrium"},
         steps=200,
         begin=linear_start(system, lambda _: start),
+        notes=_notes(model, network),
     )
