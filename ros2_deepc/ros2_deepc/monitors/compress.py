@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The LQ factor of a data window: all that the tests need, whatever the length of the record."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,21 +23,27 @@ class Compression:
     Attributes:
         R11: inputs, lower triangular, shape (m d, m d).
         R21: what the outputs share with the inputs, shape (p (L+1), m d).
-        R22: what they do not share, shape (p (L+1), k).
+        inverse: of R11; None when the inputs are not persistently exciting of order d.
+        directions: left singular vectors times singular values of what the outputs do not share, shape (p (L+1), k).
+        sigma: those singular values, shape (k,).
         m: inputs.
         p: outputs.
         L: output block rows of the pencils, one less than in the window.
         columns: columns of the data matrix.
+        spread: what white noise of the columns kept amounts to: their number, when all are kept.
         norm: bound of the spectral norm of the data matrix.
     """
 
     R11: Array
     R21: Array
-    R22: Array
+    inverse: Array | None
+    directions: Array
+    sigma: Array
     m: int
     p: int
     L: int
     columns: int
+    spread: float
     norm: float
 
     @property
@@ -49,30 +56,68 @@ class Compression:
         """Backward-error bound of the factorisation: singular values below it are rounding."""
         return 10 * EPS * float(np.sqrt(self.R11.shape[0] + self.R21.shape[0])) * self.norm
 
-    def inverse(self) -> Array | None:
-        """R11^-1, or None when the inputs are not persistently exciting of order d."""
-        inverse, info = sla.lapack.dtrtri(self.R11, lower=1)
-        if info or np.linalg.norm(inverse) * np.linalg.norm(self.R11) * EXCITATION_RCOND >= 1:
-            return None
-        return np.asarray(inverse)
+    def per_input(self, rows: Array) -> Array:
+        """Solves J R11 = rows, row by row backward stable."""
+        return np.asarray(sla.solve_triangular(self.R11, rows.T, lower=True, trans="T", check_finite=False).T)
 
 
-def compress(Wu: Array, Wy: Array, m: int, p: int, columns: int) -> Compression:
-    """Compresses a data matrix [Wu; Wy] with block rows in time order.
+def compress(
+    W: Array, m: int, p: int, L: int, columns: int, instruments: int = 0, pieces: Sequence[int] = ()
+) -> Compression:
+    """Compresses a data matrix [H_d(u); instruments; H_{L+1}(y)], block rows in time order.
+
+    With instruments (inputs before the window) only that share of the columns is kept which they and the inputs
+    explain. They are free of noise, so that averaging along the record lets less noise through; what it hides of the
+    signal can only lower singular values.
 
     Args:
-        Wu: input block rows, shape (m d, c).
-        Wy: output block rows, shape (p (L+1), c).
+        W: the data matrix, or any matrix with the same Gram matrix, shape (m d + instruments + p (L+1), c).
         m: inputs.
         p: outputs.
-        columns: columns of the data before any earlier compression (for noise bounds), usually c.
+        L: output block rows of the pencils.
+        columns: columns of the data matrix before any earlier compression, usually c.
+        instruments: rows of instruments; needs the data matrix itself, columns in time order.
+        pieces: columns of each record, when there are several; only used with instruments.
 
     Raises:
         ValueError: if there are fewer columns than input rows.
     """
-    a = Wu.shape[0]
-    if Wu.shape[1] < a:
-        raise ValueError(f"{Wu.shape[1]} columns cannot excite {a} input rows: record longer or take a smaller L")
-    R = np.asarray(np.linalg.qr(np.vstack([Wu, Wy]).T, mode="r")).T
+    kept = W.shape[0] - p * (L + 1)
+    a = kept - instruments
+    if W.shape[1] < kept:
+        raise ValueError(f"{W.shape[1]} columns cannot excite {kept} input rows: record longer or take a smaller L")
+    if instruments:
+        Q, factor = np.linalg.qr(W.T)
+        edges = np.cumsum(pieces, dtype=int)[:-1]
+        spread, last = toeplitz_norm(np.split(Q[:, :kept], edges), L + 1), kept
+    else:
+        factor, spread, last = np.asarray(np.linalg.qr(W.T, mode="r")), float(columns), W.shape[0]
+    R = factor.T
+    R11, R21, rest = R[:a, :a], R[kept:, :a], R[kept:, a:last]
+    left, sigma, _ = np.linalg.svd(rest, full_matrices=False)
     norm = min(float(np.linalg.norm(R)), float(np.sqrt(np.linalg.norm(R, 1) * np.linalg.norm(R, np.inf))))
-    return Compression(R[:a, :a], R[a:, :a], R[a:, a:], m, p, Wy.shape[0] // p - 1, columns, norm)
+    inverse = np.asarray(sla.lapack.dtrtri(R11, lower=1)[0]) if excites(R11) else None
+    return Compression(R11, R21, inverse, left * sigma, sigma, m, p, L, columns, spread, norm)
+
+
+def excites(R11: Array) -> bool:
+    """Whether a lower triangular factor of an input Hankel matrix has full rank to working precision."""
+    rcond, info = sla.lapack.dtrcon(R11, uplo="L")
+    return info == 0 and bool(rcond > EXCITATION_RCOND)
+
+
+def toeplitz_norm(pieces: Sequence[Array], rows: int) -> float:
+    """Spectral norm of the Toeplitz matrix of the diagonal sums of the projector V V'.
+
+    It takes the place of the number of columns of a Hankel matrix of white noise when only the directions V are kept.
+
+    Args:
+        pieces: rows of V by record, each in time order, shape (c_i, k); the columns of V are orthonormal.
+        rows: order of the Toeplitz matrix.
+    """
+    sums = np.zeros(rows)
+    for V in pieces:
+        spectrum = np.sum(abs(np.fft.rfft(V, 2 * len(V), axis=0)) ** 2, axis=1)
+        part = np.fft.irfft(spectrum)[: min(rows, len(V))]
+        sums[: part.size] += part
+    return float(np.linalg.norm(sla.toeplitz(sums), 2))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bounds of the spectral norm of a Hankel matrix of measurement noise."""
+"""Measurement noise, and bounds of the spectral norm of its Hankel matrices."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .compress import Array
+from .compress import Array, Compression
 
-_GAUSS = 1.35
-"""Factor over the sum of the largest row and column norms; the 99.9 % quantile of Hankel matrices of white noise was
-1.05 to 1.33 of that sum in simulations."""
+GAUSS = 1.35
+"""Factor over the sum of the largest row and column norms of a Hankel matrix of white noise: in simulations the norm
+itself exceeded it in fewer than one of a thousand windows (the 99.9 % quantile lay between 1.05 and 1.33)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Measurement noise on the outputs, in output units.
+    """White measurement noise on the outputs, in output units; inputs are taken as commanded, hence exact.
 
     Attributes:
-        std: standard deviation per output, or one for all; used when `bound` is None.
-        bound: largest absolute value per output, or one for all: the proof is then unconditional.
-        estimated: whether the numbers were estimated from the data rather than known.
+        std: standard deviation, one for all outputs or one each; used when `bound` is None.
+        bound: largest absolute value, one for all outputs or one each: proofs are then unconditional.
+        estimated: take the level from the data instead; proofs are then as good as that estimate.
     """
 
     std: ArrayLike = 0.0
@@ -31,36 +31,89 @@ class Noise:
     estimated: bool = False
 
     def __post_init__(self) -> None:
-        level = np.asarray(self.std if self.bound is None else self.bound, dtype=np.float64)
+        level = self._level
         if level.ndim > 1 or not np.all(np.isfinite(level)) or np.any(level < 0):
             raise ValueError(f"noise must be finite and not negative, one number or one per output, got {level}")
 
     @property
+    def _level(self) -> Array:
+        return np.asarray(self.std if self.bound is None else self.bound, dtype=np.float64)
+
+    @property
     def source(self) -> str:
-        """How the noise is known: "exact", "given" or "estimated"."""
+        """How the level is known: "exact", "given" or "estimated"."""
         if self.estimated:
             return "estimated"
-        return "given" if np.any(np.asarray(self.std if self.bound is None else self.bound)) else "exact"
+        return "given" if np.any(self._level) else "exact"
 
-    def hankel_bound(self, L: int, columns: int, scale: Array) -> float:
-        """Bound of ||H_L(v)||_2 for L block rows and the given columns, outputs over `scale` (p,).
+    @property
+    def averages(self) -> bool:
+        """Whether keeping fewer directions of the columns lets less noise through."""
+        return self.source != "exact" and (self.estimated or self.bound is None)
 
-        Hard bounds give sqrt(L columns sum vbar^2), attained by constant noise. White Gaussian noise: the largest row
-        norm plus the largest column norm, times a constant from simulation; exceeded in one of a thousand windows.
+    def per_output(self, scale: Array) -> Array:
+        """The given level of each output over `scale`, shape (p,).
 
         Raises:
-            ValueError: if the noise is given per output for another number of outputs.
+            ValueError: if the noise is given for another number of outputs.
         """
-        level = np.asarray(self.std if self.bound is None else self.bound, dtype=np.float64)
+        level = self._level
         if level.ndim and level.shape != scale.shape:
             raise ValueError(f"noise is given for {level.size} outputs, the record has {scale.size}")
-        v = np.broadcast_to(level, scale.shape) / scale
-        column = float(np.sqrt(L * np.sum(v**2)))
-        if self.bound is not None:
-            return column * float(np.sqrt(columns))
-        return _GAUSS * (column + float(np.sqrt(columns) * v.max(initial=0.0)))
+        return np.broadcast_to(level, scale.shape) / scale
+
+    def level(self, data: Compression, scale: Array, q: int) -> Array:
+        """The level of each output in scaled units, shape (p,); estimated from what lies beyond q directions."""
+        return np.full(scale.shape, estimate_std(data, q)) if self.estimated else self.per_output(scale)
+
+    def hankel_bound(self, data: Compression, level: Array) -> float:
+        """Bound of the norm of the noise in a compressed window, in scaled units.
+
+        A hard bound vbar gives sqrt((L+1) columns sum vbar^2), attained by constant noise. White Gaussian noise: the
+        largest row norm plus the largest column norm (of what the columns kept let through), times `GAUSS`.
+
+        Args:
+            data: the window.
+            level: from `level`, shape (p,).
+        """
+        column = float(np.sqrt((data.L + 1) * np.sum(level**2)))
+        if not self.averages:
+            return column * float(np.sqrt(data.columns))
+        return GAUSS * (column + float(np.sqrt(data.spread) * level.max()))
 
 
-def as_noise(noise: Noise | ArrayLike) -> Noise:
-    """A `Noise` as it is; a number or one number per output as standard deviation."""
-    return noise if isinstance(noise, Noise) else Noise(std=noise)
+def as_noise(noise: Noise | ArrayLike | None) -> Noise:
+    """A `Noise` as it is; None as estimated; a number, or one per output, as standard deviation."""
+    if isinstance(noise, Noise):
+        return noise
+    return Noise(estimated=True) if noise is None else Noise(std=noise)
+
+
+def estimate_std(data: Compression, q: int) -> float:
+    """Standard deviation of white noise in scaled units, from the median singular value beyond the q strongest.
+
+    The rest of the window is then a noise matrix, whose median singular value follows the Marchenko-Pastur law
+    (Gavish and Donoho, The optimal hard threshold for singular values is 4/sqrt(3), 2014).
+
+    Raises:
+        ValueError: if fewer than three singular values are left.
+    """
+    rows, columns = len(data.directions) - q, data.columns - len(data.R11) - q
+    tail = data.sigma[q:]
+    if min(rows, columns) < 3:
+        need = 3 - min(rows, columns)
+        raise ValueError(
+            f"too few directions are left to estimate the noise from: give {need} more samples, or its level"
+        )
+    small, large = min(rows, columns), max(rows, columns)
+    return float(np.median(tail[:small])) / float(np.sqrt(large * marchenko_pastur_median(small / large)))
+
+
+def marchenko_pastur_median(beta: float) -> float:
+    """Median of the Marchenko-Pastur law of aspect ratio beta in (0, 1], unit variance."""
+    low, high = (1 - np.sqrt(beta)) ** 2, (1 + np.sqrt(beta)) ** 2
+    angle = (np.arange(2000) + 0.5) * np.pi / 2000  # x = middle + half cos(angle) smooths both edges
+    x = (low + high) / 2 - (high - low) / 2 * np.cos(angle)
+    weight = np.sin(angle) ** 2 / x
+    share = np.cumsum(weight) / np.sum(weight)
+    return float(np.interp(0.5, share, x))

@@ -4,17 +4,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cache
 
 import numpy as np
 
-from .compress import Compression
+from .noise import Noise
 from .pencil import reduce
+from .search import minimum
+from .source import Source
 from .verdict import Printed, Prior
-
-Window = Callable[[int, int], tuple[Compression, float]]
-"""Gives the compressed window of (L, d) with the bound of its noise."""
 
 
 class PrintedTheorems(Mapping[int, Printed]):
@@ -24,13 +23,14 @@ class PrintedTheorems(Mapping[int, Printed]):
     lambda grows cannot be told from rank lost.
 
     Args:
-        window: gives the compressed window of (L, d) and the bound of its noise; ValueError if the record is short.
+        source: the data.
         prior: what is known of the plant.
         L: block rows of the data matrices; Theorems 3 and 4 take at least the L that they ask for.
+        noise: on the outputs.
     """
 
-    def __init__(self, window: Window, prior: Prior, L: int) -> None:
-        self._compute = cache(lambda number: _theorem(number, window, prior, L))
+    def __init__(self, source: Source, prior: Prior, L: int, noise: Noise) -> None:
+        self._compute = cache(lambda number: _theorem(number, source, prior, L, noise))
 
     def __getitem__(self, number: int) -> Printed:
         """The theorem of that number, 1 to 4."""
@@ -45,7 +45,7 @@ class PrintedTheorems(Mapping[int, Printed]):
         return 4
 
 
-def _theorem(number: int, window: Window, prior: Prior, L: int) -> Printed:
+def _theorem(number: int, source: Source, prior: Prior, L: int, noise: Noise) -> Printed:
     """One theorem on the data, or why it cannot be asked."""
     slow = number in (1, 3)
     if not slow and not prior.n:
@@ -56,21 +56,22 @@ def _theorem(number: int, window: Window, prior: Prior, L: int) -> Printed:
         L = max(L, prior.q, prior.r)
     pencil = number in (1, 2)
     try:
-        data, noise = window(L, L + 1) if pencil else window(L - 1, L)
+        data = source.window(L, L + 1) if pencil else source.window(L - 1, L)
+        bound = noise.hankel_bound(data, noise.level(data, source.y_scale, prior.q))
     except ValueError as error:
         return Printed(holds=False, rank=0, required=0, reason=str(error))
     inputs = data.m * L
     beyond = data.m * (prior.s - 1) + prior.q if slow else prior.n
-    eps = noise + data.floor
-    inverse = data.inverse()
-    if inverse is None:
+    eps = bound + data.floor
+    if data.inverse is None:
         reason = f"the inputs are not persistently exciting of order {data.d}"
         return Printed(holds=False, rank=0, required=inputs + beyond, reason=reason)
-    seen = int(np.count_nonzero(np.linalg.svd(data.R22, compute_uv=False) > eps))
+    seen = int(np.count_nonzero(data.sigma > eps))
     rank, lam = inputs + seen, complex("nan")
     if pencil and 0 < seen <= beyond:
-        low = reduce(data, inverse, seen).minimum()
-        rank, lam = inputs + int(np.count_nonzero(low.singular_values > eps)), low.lambda_
+        reduced = reduce(data, seen)
+        low = minimum(reduced)
+        rank, lam = inputs + int(np.count_nonzero(low.sigma > eps + reduced.floor)), low.lambda_
     holds = rank == inputs + beyond
     reason = "" if holds else f"rank {rank} where {inputs + beyond} is asked for"
     return Printed(holds=holds, rank=rank, required=inputs + beyond, lambda_star=lam, reason=reason)

@@ -8,12 +8,14 @@ With U of L+sb-1 block rows (sb inputs beyond the outputs, sb >= s) and Y of L b
 With y - D u for y, sb = 0 and n for q the same tests are 2* (C-controllable, infinity included) and 4* (C-observable).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .compress import Array, Compression
-from .pencil import Minimum, Pencil, reduce
+from .certify import certify
+from .compress import Compression
+from .pencil import Pencil, reduce
+from .search import Minimum, minimum
 from .verdict import Finding, Mode, Verdict
 
 
@@ -38,7 +40,7 @@ class Outcome:
         controllability: finding of 1* or 2*.
         observability: finding of 3* or 4*.
         modes: weakest first.
-        autonomous: singular values of the outputs without the inputs' share, scaled units.
+        seen: directions of the outputs above the noise bound that the inputs of the window do not explain.
         eps: noise bound used.
         excited: whether the inputs are persistently exciting of the order of the window.
     """
@@ -46,9 +48,41 @@ class Outcome:
     controllability: Finding
     observability: Finding
     modes: tuple[Mode, ...]
-    autonomous: Array
+    seen: int
     eps: float
     excited: bool
+
+    @property
+    def open(self) -> bool:
+        """Whether another window might still say more."""
+        settled = (Verdict.PROVED, Verdict.PRIOR_VIOLATED)
+        return self.controllability.verdict not in settled or self.observability.verdict not in settled
+
+
+def nothing(reason: str, required: int = 0, eps: float = float("nan")) -> Outcome:
+    """The outcome of data that cannot be asked, with one reason for all."""
+    blank = Finding(verdict=Verdict.UNDECIDED, reason=reason, required=required, noise_bound=eps)
+    return Outcome(blank, blank, (), 0, eps, False)
+
+
+def better(a: Outcome, b: Outcome) -> bool:
+    """Whether outcome a says more than b."""
+    return _worth(a.controllability) > _worth(b.controllability)
+
+
+def merge(a: Outcome, b: Outcome) -> Outcome:
+    """The best of two looks at the same window; what contradicts the prior in the first stays."""
+    if Verdict.PRIOR_VIOLATED in (a.controllability.verdict, a.observability.verdict):
+        return a
+    first = b if better(b, a) else a
+    observe = max(a.observability, b.observability, key=_worth)
+    return replace(first, observability=observe, seen=max(a.seen, b.seen), eps=a.eps, excited=a.excited)
+
+
+def _worth(finding: Finding) -> tuple[int, float]:
+    """Order of findings: a contradiction or a proof, then a drop of rank found, then the larger margin."""
+    ranking = {Verdict.PRIOR_VIOLATED: 3, Verdict.PROVED: 2, Verdict.NOT_PROVED: 1}
+    return ranking.get(finding.verdict, 0), -np.inf if np.isnan(finding.margin) else finding.margin
 
 
 def decibel(value: float, bound: float) -> float:
@@ -74,29 +108,26 @@ def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW) -> 
         names: family of theorems.
     """
     eps = eps_noise + data.floor
-    inverse = data.inverse()
-    if inverse is None:
+    if data.inverse is None:
         reason = (
             f"the inputs are not persistently exciting of order {data.d}: vary every input independently for a while"
         )
-        blank = Finding(verdict=Verdict.UNDECIDED, reason=reason, noise_bound=eps)
-        return Outcome(blank, blank, (), np.zeros(0), eps, False)
-    sigma: Array = np.linalg.svd(data.R22, compute_uv=False).astype(np.float64, copy=False)
-    seen = int(np.count_nonzero(sigma > eps))
-    visible = min(seen, q)
-    pencil = reduce(data, inverse, visible)
-    modes = find_modes(pencil, eps) if visible else ()
-    observe = _observability(data, sigma, seen, q, eps, names)
-    if seen > q:
-        control = observe
-    else:
-        control = _controllability(data, pencil.minimum() if visible else None, visible, q, eps, names)
-    return Outcome(control, observe, modes, sigma, eps, True)
+        return nothing(reason, data.m * data.d + q, eps)
+    seen = int(np.count_nonzero(data.sigma > eps))
+    observe = _observability(data, seen, q, eps, names)
+    if seen == 0 or q == 0:
+        return Outcome(_nothing_to_control(data, seen, q, eps, names), observe, (), seen, eps, True)
+    pencil = reduce(data, min(seen, q))
+    low = minimum(pencil)
+    eps += pencil.floor
+    control = observe if seen > q else _controllability(data, pencil, low, q, eps, names)
+    return Outcome(control, observe, find_modes(low, eps), seen, eps, True)
 
 
-def _observability(data: Compression, sigma: Array, seen: int, q: int, eps: float, names: Names) -> Finding:
+def _observability(data: Compression, seen: int, q: int, eps: float, names: Names) -> Finding:
     """Theorem 3* or 4* over the whole window."""
     base = data.m * data.d
+    sigma = data.sigma
     deciding = float(sigma[q - 1]) if 0 < q <= sigma.size else 0.0
     following = float(sigma[q]) if q < sigma.size else 0.0
     if seen > q:
@@ -126,37 +157,49 @@ def _observability(data: Compression, sigma: Array, seen: int, q: int, eps: floa
     )
 
 
-def _controllability(data: Compression, low: Minimum | None, visible: int, q: int, eps: float, names: Names) -> Finding:
+def _nothing_to_control(data: Compression, seen: int, q: int, eps: float, names: Names) -> Finding:
+    """When no direction is above the noise, or none is expected."""
+    base = data.m * (data.d - 1)
+    if seen > q:
+        verdict, reason = (
+            Verdict.PRIOR_VIOLATED,
+            f"the outputs show {seen} autonomous directions, {names.order} = 0 allows none",
+        )
+    elif q == 0:
+        verdict, reason = Verdict.PROVED, f"{names.order} = 0: there is nothing to control"
+    else:
+        verdict, reason = Verdict.UNDECIDED, f"no direction rises above the noise bound, {names.order} = {q}"
+    return Finding(verdict=verdict, reason=reason, theorem=names.control, rank=base, required=base + q, noise_bound=eps)
+
+
+def _controllability(data: Compression, pencil: Pencil, low: Minimum, q: int, eps: float, names: Names) -> Finding:
     """Theorem 1* or 2* on the visible directions."""
     base = data.m * (data.d - 1)
-    if low is None:
-        verdict = Verdict.PROVED if q == 0 else Verdict.UNDECIDED
-        reason = (
-            "there is no slow part to control"
-            if q == 0
-            else f"no direction rises above the noise bound, {names.order} = {q}"
-        )
-        return Finding(
-            verdict=verdict, reason=reason, theorem=names.control, rank=base, required=base + q, noise_bound=eps
-        )
+    if low.kappa > eps and pencil.q == q:
+        proof = certify(pencil, eps)
+        if proof.counterexample is not None:
+            low = low.moved(pencil, proof.counterexample)
     at = f"lambda = {low.lambda_:.6g}"
     if low.kappa <= eps:
         verdict = Verdict.NOT_PROVED
-        reason = (
-            f"the pencil is within the noise bound of losing rank at {at}: consistent with an uncontrollable mode there"
-        )
-    elif visible < q:
+        reason = f"the pencil is within the noise bound of losing rank at {at}: consistent with an uncontrollable mode"
+    elif pencil.q < q:
         verdict = Verdict.UNDECIDED
         reason = (
-            f"the {visible} directions seen are controllable, but {names.order} = {q} are needed: "
+            f"the {pencil.q} directions seen are controllable, but {names.order} = {q} are needed: "
             "the others are unobservable, never excited, or below the noise"
+        )
+    elif not proof.complete:
+        verdict = Verdict.UNDECIDED
+        reason = (
+            f"no lambda loses rank in a search, nearest {at}, but the margin is too thin to prove it for all of them"
         )
     else:
         verdict = Verdict.PROVED
         reason = (
             f"the pencil keeps full rank at every lambda for any noise within the bound; nearest to losing it at {at}"
         )
-    sigma = low.singular_values
+    sigma = low.sigma
     return Finding(
         verdict=verdict,
         reason=reason,
@@ -170,11 +213,8 @@ def _controllability(data: Compression, low: Minimum | None, visible: int, q: in
     )
 
 
-def find_modes(pencil: Pencil, eps: float) -> tuple[Mode, ...]:
+def find_modes(low: Minimum, eps: float) -> tuple[Mode, ...]:
     """Modes of the visible directions with the strength by which the inputs move them, weakest first."""
-    lam = pencil.eigenvalues()
-    strength = pencil.kappa(lam)
-    order = np.argsort(strength)
-    return tuple(
-        Mode(complex(lam[i]), float(strength[i]), place(complex(lam[i])), bool(strength[i] <= eps)) for i in order
-    )
+    order = np.argsort(low.strengths)
+    pairs = [(complex(low.eigenvalues[i]), float(low.strengths[i])) for i in order]
+    return tuple(Mode(lam, strength, place(lam), strength <= eps) for lam, strength in pairs)

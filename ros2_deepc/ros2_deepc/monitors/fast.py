@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""C-controllability and C-observability: what data and dimensions say about the fast part."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .compress import Array
+from .noise import Noise
+from .source import Source
+from .theorems import WHOLE, Outcome, decide
+from .verdict import Finding, Prior, StructureEstimate, Verdict
+
+Pair = tuple[Finding, Finding]
+
+
+def whole_state(
+    source: Source,
+    prior: Prior,
+    L: int,
+    slow: Outcome,
+    estimate: StructureEstimate,
+    noise: Noise,
+    level: Array | None,
+) -> Pair:
+    """C-controllability and C-observability.
+
+    Args:
+        source: the data.
+        prior: what is known of the plant.
+        L: output block rows.
+        slow: what was found for the slow part.
+        estimate: structure that the same window shows.
+        noise: kind of noise.
+        level: its level in scaled units, shape (p,); None when no window could be looked at.
+    """
+    if prior.r < 0:
+        blank = _blank("the C-properties need the state dimension: give n in the prior")
+        return blank, blank
+    if prior.r == 0:
+        return slow.controllability, slow.observability
+    if level is None:
+        pair = slow.controllability, slow.observability
+    elif prior.D is None:
+        pair = _without_feedthrough(prior, slow, estimate, exact=noise.source == "exact")
+    else:
+        pair = _with_feedthrough(source, prior, L, noise, level)
+    return _by_dimensions(source.m, source.p, prior, pair)
+
+
+def _blank(reason: str, verdict: Verdict = Verdict.UNDECIDED) -> Finding:
+    return Finding(verdict=verdict, reason=reason)
+
+
+def _with_feedthrough(source: Source, prior: Prior, L: int, noise: Noise, level: Array) -> Pair:
+    """Theorems 2* and 4*: without the feed-through the last input of a window says nothing about its outputs."""
+    D = np.asarray(prior.D, dtype=np.float64)
+    if D.shape != (source.p, source.m):
+        raise ValueError(f"prior D must have shape (p, m) = {(source.p, source.m)}, got {D.shape}")
+    L = max(L, -(-prior.n // source.p))
+    need = source.m * L + prior.n
+    have = source.columns(L, L)
+    if have < need:
+        blank = _blank(f"{need - have} more columns needed: {have} cannot hold rank {need} at L = {L}")
+        return blank, blank
+    data = source.without_feedthrough(D).window(L, L)
+    outcome = decide(data, prior.n, noise.hankel_bound(data, level), WHOLE)
+    return outcome.controllability, outcome.observability
+
+
+def _without_feedthrough(prior: Prior, slow: Outcome, estimate: StructureEstimate, *, exact: bool) -> Pair:
+    """With D unknown only the responses to later inputs speak of the fast part.
+
+    Every fast part with these responses has r >= 2 rho_1 - rho_2. With equality it is controllable and observable;
+    without, another one with the same data, n, q and s is not.
+    """
+    rho = (*estimate.rho, 0, 0)
+    least = 2 * rho[0] - rho[1] if exact or prior.s <= 2 else 2 * rho[0]
+    if prior.s == 1 or least != prior.r or not (exact or prior.s == 2):
+        reason = (
+            f"D is unknown and enters only as D - C2 B2; the data need {least} fast states and r = {prior.r}, "
+            "so plants with and without the property share these data: give D"
+        )
+        blank = _blank(reason, Verdict.NOT_DECIDABLE)
+        return blank, blank
+    reason = (
+        f"all r = {prior.r} fast states are needed to explain the data, so inputs reach and outputs see each of them"
+    )
+    pair = tuple(
+        replace(finding, reason=reason, theorem=f"{finding.theorem}, r = 2 rho1 - rho2")
+        if finding.verdict == Verdict.PROVED
+        else finding
+        for finding in (slow.controllability, slow.observability)
+    )
+    return pair[0], pair[1]
+
+
+def _by_dimensions(m: int, p: int, prior: Prior, pair: Pair) -> Pair:
+    """Refutes what the dimensions exclude: s m inputs reach and s p outputs see at most that many fast states."""
+    control, observe = pair
+    r, s = prior.r, prior.s
+    if r > s * m:
+        reason = f"{m} inputs reach at most s m = {s * m} of the r = {r} fast states, whatever the plant"
+        control = Finding(verdict=Verdict.REFUTED, reason=reason, theorem="dimensions", rank=s * m, required=r)
+    if r > s * p:
+        reason = f"{p} outputs see at most s p = {s * p} of the r = {r} fast states, whatever the plant"
+        observe = Finding(verdict=Verdict.REFUTED, reason=reason, theorem="dimensions", rank=s * p, required=r)
+    return control, observe

@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A look at the modes alone, cheap enough for every sample. It warns; it proves nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .noise import Noise, as_noise
+from .pencil import reduce
+from .search import eigenvalues
+from .source import from_records
+from .theorems import decibel
+from .verdict import Prior
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Indicator:
+    """Margins met at the modes of the data; upper bounds of those that `analyze` reports for the same window.
+
+    Attributes:
+        controllability: margin at the weakest mode [dB]; -inf when fewer than q directions are seen.
+        observability: margin of the q-th direction [dB].
+        lambda_star: the weakest mode; nan when none is seen.
+        rank: of the data matrix.
+        rank_need: rank of a rich window of an observable plant.
+        reason: why nothing could be said; empty otherwise.
+    """
+
+    controllability: float = -np.inf
+    observability: float = -np.inf
+    lambda_star: complex = complex("nan")
+    rank: int = 0
+    rank_need: int = 0
+    reason: str = ""
+
+
+def indicate(u: ArrayLike, y: ArrayLike, *, prior: Prior, L: int, noise: Noise | ArrayLike | None = 0.0) -> Indicator:
+    """Margins of the slow part at the modes that the data show: one factorisation and one small eigenvalue problem.
+
+    Args:
+        u: inputs, as for `analyze`.
+        y: outputs, as for `analyze`.
+        prior: what is known of the plant; only q and s are used.
+        L: output block rows of the pencil.
+        noise: as for `analyze`.
+
+    Raises:
+        ValueError: wrong shapes, or values that are not finite.
+    """
+    source, level = from_records([(u, y)], prior.s), as_noise(noise)
+    d, q, m = L + prior.s, prior.q, source.m
+    need = m * d + q
+    missing = need - source.columns(L, d)
+    if missing > 0:
+        return Indicator(rank_need=need, reason=f"at least {missing} more samples needed at L = {L}")
+    data = source.window(L, d)
+    if data.inverse is None:
+        return Indicator(rank_need=need, reason=f"the inputs are not persistently exciting of order {d}")
+    eps = level.hankel_bound(data, level.level(data, source.y_scale, q)) + data.floor
+    seen = int(np.count_nonzero(data.sigma > eps))
+    rank = m * d + seen
+    if not min(seen, q):
+        return Indicator(rank=rank, rank_need=need, reason="no direction rises above the noise bound")
+    observe = decibel(float(data.sigma[q - 1]), eps) if q <= data.sigma.size else -np.inf
+    pencil = reduce(data, min(seen, q))
+    modes = eigenvalues(pencil)
+    strength = pencil.singular_values(modes)[:, -1]
+    weakest = int(np.argmin(strength))
+    control = decibel(float(strength[weakest]), eps + pencil.floor) if seen >= q else -np.inf
+    return Indicator(
+        controllability=control,
+        observability=observe,
+        lambda_star=complex(modes[weakest]),
+        rank=rank,
+        rank_need=need,
+    )

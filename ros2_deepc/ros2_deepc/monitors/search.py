@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where is the pencil nearest to losing rank? A quick search for the margin; the proof is in `certify`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg as sla
+
+from .compress import Array
+from .pencil import Complex, Pencil, Points
+
+_RINGS = np.concatenate(
+    [[0], 0.6 * np.exp(2j * np.pi * np.arange(5) / 5), np.exp(1j * np.pi * np.arange(13) / 12), [np.inf]]
+)
+"""Extra starts. Data are real, so kappa is symmetric about the real axis and the upper half of the circle will do."""
+
+_STARTS = 6
+_STEPS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Minimum:
+    """Where the pencil is nearest to losing rank.
+
+    Attributes:
+        lambda_: where.
+        sigma: singular values of N there over the weight, largest first, shape (q,).
+        eigenvalues: modes of the slow part as the data show them, shape (q,).
+        strengths: kappa at those modes, shape (q,).
+    """
+
+    lambda_: complex
+    sigma: Array
+    eigenvalues: Complex
+    strengths: Array
+
+    @property
+    def kappa(self) -> float:
+        """The smallest of the singular values."""
+        return float(self.sigma[-1])
+
+    def moved(self, pencil: Pencil, lam: complex) -> Minimum:
+        """The same search with another lambda found lower."""
+        return replace(self, lambda_=lam, sigma=pencil.singular_values(np.array([lam]))[0])
+
+
+def minimum(pencil: Pencil) -> Minimum:
+    """Smallest kappa met in a search over the sphere: modes, rings, then Gauss-Newton from the best of them."""
+    modes = eigenvalues(pencil)
+    starts = np.concatenate([modes, _RINGS])
+    kappa = pencil.singular_values(starts)[:, -1]
+    strengths = kappa[: modes.size]
+    lam, sigma = refine(pencil, starts[np.argsort(kappa)[:_STARTS]])
+    lowest = int(np.argmin(sigma[:, -1]))
+    return Minimum(complex(lam[lowest]), sigma[lowest], modes, strengths)
+
+
+def eigenvalues(pencil: Pencil) -> Complex:
+    """Roots of det(X1 - lambda X0), shape (q,); inf where X0 is singular."""
+    w = sla.eigvals(pencil.X1, pencil.X0, homogeneous_eigvals=True, check_finite=False)
+    finite = abs(w[1]) > 0
+    return np.where(finite, w[0] / np.where(finite, w[1], 1), np.inf).astype(np.complex128)
+
+
+def refine(pencil: Pencil, lam: Complex) -> tuple[Complex, Array]:
+    """Gauss-Newton descent of kappa from each start: the best lambda met from each, and the singular values there."""
+    at, kept = Points.of(lam), lam.copy()
+    best = np.full((lam.size, pencil.q), np.inf)
+    for _ in range(_STEPS):
+        value = pencil.evaluate(at)
+        left, sigma, _ = np.linalg.svd(value.N, full_matrices=False)
+        sigma = sigma / pencil.weight(abs(at.t))[:, None]
+        better = sigma[:, -1] < best[:, -1]
+        gained = np.any(sigma[:, -1] < 0.9 * best[:, -1])
+        best[better], kept[better] = sigma[better], at.lambda_[better]
+        if not gained:
+            break
+        weakest = left[:, :, -1].conj()[:, None, :]
+        r, dr = (weakest @ value.N)[:, 0], (weakest @ value.rate)[:, 0]
+        slope = np.sum(abs(dr) ** 2, axis=1)
+        shift = np.sum(dr.conj() * r, axis=1) / np.where(slope > 0, slope, 1)
+        at = Points.of(Points(at.t - shift, at.outer).lambda_)
+    return kept, best

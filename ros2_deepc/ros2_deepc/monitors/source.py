@@ -1,0 +1,215 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where data windows come from: records side by side, or a factor that someone else keeps up to date."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ros2_deepc.behavior import Record, data_matrix
+from ros2_deepc.behavior.hankel import as_signal
+
+from .compress import Array, Compression, compress, excites
+
+
+class Source(Protocol):
+    """Data in scaled units, from which windows of any length can be cut."""
+
+    @property
+    def m(self) -> int:
+        """Inputs."""
+
+    @property
+    def p(self) -> int:
+        """Outputs."""
+
+    @property
+    def samples(self) -> int:
+        """Outputs held."""
+
+    @property
+    def y_scale(self) -> Array:
+        """Output units per scaled unit, shape (p,)."""
+
+    def columns(self, L: int, d: int, past: int = 0) -> int:
+        """Columns of the window (L, d, past)."""
+
+    def window(self, L: int, d: int, past: int = 0) -> Compression:
+        """Compresses [H_d(u); H_{L+1}(y)], with `past` block rows of inputs before them as instruments if positive."""
+
+    def exciting(self, order: int) -> bool:
+        """Whether the inputs are persistently exciting of that order, all records together."""
+
+    def without_feedthrough(self, D: Array) -> Source:
+        """The same data with y - D u for y; D in the units of the data, shape (p, m)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Records:
+    """Unbroken records, each channel divided by its root mean square over all of them.
+
+    Attributes:
+        records: scaled; every record holds as many inputs beyond its outputs as were given.
+        u_scale: input units per scaled unit, shape (m,).
+        y_scale: output units per scaled unit, shape (p,).
+    """
+
+    records: tuple[Record, ...]
+    u_scale: Array
+    y_scale: Array
+
+    @property
+    def m(self) -> int:
+        """Inputs."""
+        return self.u_scale.size
+
+    @property
+    def p(self) -> int:
+        """Outputs."""
+        return self.y_scale.size
+
+    @property
+    def samples(self) -> int:
+        """Outputs held, all records together."""
+        return sum(len(r.y) for r in self.records)
+
+    def columns(self, L: int, d: int, past: int = 0) -> int:
+        """Columns of the window (L, d, past), all records together."""
+        return sum(max(0, min(len(r.u) - d, len(r.y) - L - 1) - past + 1) for r in self.records)
+
+    def window(self, L: int, d: int, past: int = 0) -> Compression:
+        """Compresses [H_d(u); H_{L+1}(y)], with instruments if `past` is positive."""
+        if not past:
+            W = data_matrix(self.records, d, L + 1)
+            return compress(W, self.m, self.p, L, W.shape[1])
+        W = data_matrix([Record(r.u, r.y[past:]) for r in self.records], past + d, L + 1)
+        rows = self.m * past
+        W[: self.m * (past + d)] = np.roll(W[: self.m * (past + d)], -rows, axis=0)
+        pieces = [Records((r,), self.u_scale, self.y_scale).columns(L, d, past) for r in self.records]
+        return compress(W, self.m, self.p, L, W.shape[1], rows, pieces)
+
+    def exciting(self, order: int) -> bool:
+        """Whether the inputs are persistently exciting of that order, all records together."""
+        if order < 1:
+            return True
+        H = data_matrix([Record(r.u, np.empty((len(r.u), 0))) for r in self.records], order, 1)
+        return H.shape[1] >= H.shape[0] and excites(np.asarray(np.linalg.qr(H.T, mode="r")).T)
+
+    def without_feedthrough(self, D: Array) -> Records:
+        """The same data with y - D u for y."""
+        scaled = D * self.u_scale / self.y_scale[:, None]
+        return replace(self, records=tuple(Record(r.u, r.y - r.u[: len(r.y)] @ scaled.T) for r in self.records))
+
+
+@dataclass(frozen=True, slots=True)
+class Factor:
+    """A matrix with the Gram matrix of a time-major Hankel matrix of w = (u, y), scaled like `Records`.
+
+    Attributes:
+        F: shape (depth, m+p, c).
+        held: columns of the Hankel matrix before its compression.
+        u_scale: input units per scaled unit, shape (m,).
+        y_scale: output units per scaled unit, shape (p,).
+    """
+
+    F: Array
+    held: int
+    u_scale: Array
+    y_scale: Array
+
+    @property
+    def m(self) -> int:
+        """Inputs."""
+        return self.u_scale.size
+
+    @property
+    def p(self) -> int:
+        """Outputs."""
+        return self.y_scale.size
+
+    @property
+    def samples(self) -> int:
+        """Outputs that one record of as many columns holds."""
+        return self.held + len(self.F) - 1
+
+    def columns(self, L: int, d: int, past: int = 0) -> int:
+        """Columns of the window; none if it is deeper than the factor or asks for instruments."""
+        return self.held if max(d, L + 1) <= len(self.F) and not past else 0
+
+    def window(self, L: int, d: int, past: int = 0) -> Compression:
+        """Compresses [H_d(u); H_{L+1}(y)]; instruments need the records themselves."""
+        if past or not self.columns(L, d):
+            raise ValueError(f"a factor of depth {len(self.F)} has no window of L = {L}, d = {d}, past = {past}")
+        inputs, outputs = self.F[:d, : self.m], self.F[: L + 1, self.m :]
+        W = np.concatenate([inputs.reshape(d * self.m, -1), outputs.reshape((L + 1) * self.p, -1)])
+        return compress(W, self.m, self.p, L, self.held)
+
+    def exciting(self, order: int) -> bool:
+        """Whether the inputs are persistently exciting of that order; never beyond the depth of the factor."""
+        rows = order * self.m
+        if order > len(self.F) or self.F.shape[2] < rows:
+            return False
+        H = self.F[:order, : self.m].reshape(rows, -1)
+        return order < 1 or excites(np.asarray(np.linalg.qr(H.T, mode="r")).T)
+
+    def without_feedthrough(self, D: Array) -> Factor:
+        """The same data with y - D u for y."""
+        scaled = D * self.u_scale / self.y_scale[:, None]
+        F = self.F.copy()
+        F[:, self.m :] -= np.einsum("pm,tmc->tpc", scaled, F[:, : self.m])
+        return replace(self, F=F)
+
+
+def from_records(records: Sequence[tuple[ArrayLike, ArrayLike]], s: int) -> Records:
+    """Checks, trims and scales records; outputs whose s-1 next inputs are not known are left out.
+
+    Raises:
+        ValueError: no record, wrong or differing shapes, or a value that is not finite.
+    """
+    if not records:
+        raise ValueError("no record: give at least one pair (u, y)")
+    checked = []
+    for u, y in records:
+        a, b = as_signal(u, "u"), as_signal(y, "y")
+        K = max(0, min(len(b), len(a) - s + 1))
+        checked.append(Record(a[: K + s - 1], b[:K]))
+    shapes = {(r.u.shape[1], r.y.shape[1]) for r in checked}
+    if len(shapes) != 1 or 0 in next(iter(shapes)):
+        raise ValueError(f"all records need the same (m, p), both at least 1, got {sorted(shapes)}")
+    u_scale, y_scale = _rms([r.u for r in checked]), _rms([r.y for r in checked])
+    return Records(tuple(Record(r.u / u_scale, r.y / y_scale) for r in checked), u_scale, y_scale)
+
+
+def from_factor(factor: ArrayLike, m: int, p: int, columns: int) -> Factor:
+    """Checks and scales a time-major factor.
+
+    Args:
+        factor: block row i holds u(k+i) over y(k+i), shape ((m+p) depth, c).
+        m: inputs.
+        p: outputs.
+        columns: columns of the Hankel matrix that was compressed.
+
+    Raises:
+        ValueError: if the rows are not a multiple of m + p, or a value is not finite.
+    """
+    F = np.asarray(factor, dtype=np.float64)
+    if m < 1 or p < 1 or F.ndim != 2 or F.shape[0] % (m + p) or not F.shape[0]:
+        raise ValueError(f"factor must have a multiple of m + p = {m + p} rows, got shape {F.shape}")
+    if not np.isfinite(F).all():
+        raise ValueError("factor holds values that are not finite")
+    blocks = F.reshape(-1, m + p, F.shape[1])
+    scale = np.sqrt(np.sum(blocks**2, axis=(0, 2)) / (max(columns, 1) * len(blocks)))
+    scale = np.where(scale > 0, scale, 1.0)
+    return Factor(blocks / scale[:, None], columns, scale[:m], scale[m:])
+
+
+def _rms(parts: list[Array]) -> Array:
+    """Root mean square of each column over all parts, 1 where it is zero."""
+    count = max(1, sum(len(w) for w in parts))
+    value = np.sqrt(sum(np.sum(w**2, axis=0) for w in parts) / count)
+    return np.where(value > 0, value, 1.0)
