@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The command line as a stranger uses it: in a process of its own, bad input first."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMAND = Path(sys.executable).parent / "ros2-deepc"
+
+
+@pytest.fixture
+def deepc(tmp_path, domain_id):
+    """Runs ros2-deepc and returns the finished process."""
+
+    def run(*arguments):
+        env = dict(os.environ, ROS_DOMAIN_ID=str(domain_id))
+        return subprocess.run(
+            [str(COMMAND), *map(str, arguments)], capture_output=True, text=True, timeout=100, cwd=tmp_path, env=env
+        )
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (["demo", "nosuch"], "unknown plant 'nosuch'; there are: net3, wscc9"),
+        (["demo", "--out", "/proc/nope"], "choose another folder with --out"),
+        (["demo", "--set", "controller.T=60", "--out", "run"], "needs T >= 85"),
+        (["demo", "--set", "controller.N=-3", "--out", "run"], "N = -3"),
+        (["demo", "--set", "monitor.period=0", "--out", "run"], "out of range 1..1000000"),
+        (["demo", "--set", "monitor.perio=5", "--out", "run"], "did you mean period?"),
+        (["demo", "--set", "nonsense", "--out", "run"], "NODE.PARAMETER=VALUE"),
+        (["demo", "--set", "controller.terminal=maybe", "--out", "run"], "not one of none, equilibrium, hard, soft"),
+        (["demo", "--set", "operator.reference_values=[1.0]", "--out", "run"], "2 references of 2 outputs"),
+        (["demo", "-o", "variant=foo", "--out", "run"], "no variant 'foo'"),
+        (["demo", "-o", "foo", "--out", "run"], "KEY=VALUE"),
+        (["demo", "--executor", "multi", "--out", "run"], "choose one of events, single"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing_behind(deepc, tmp_path, arguments, hint):
+    done = deepc(*arguments)
+    assert done.returncode == 1
+    assert hint in done.stderr
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_in_use_is_not_touched(deepc, tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "mine.txt").write_text("mine")
+    done = deepc("demo", "--out", "run")
+    assert done.returncode == 1
+    assert "not an empty folder" in done.stderr
+    assert [file.name for file in (tmp_path / "run").iterdir()] == ["mine.txt"]
+
+
+@pytest.mark.parametrize("arguments", [["nothing"], ["demo", "--steps", "0"], ["demo", "--nope"]])
+def test_wrong_usage_exits_with_2(deepc, arguments):
+    done = deepc(*arguments)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+
+
+def test_help_teaches(deepc):
+    done = deepc("demo", "--help")
+    assert done.returncode == 0
+    for word in ("--seed", "--steps", "--executor", "--processes", "Examples"):
+        assert word in done.stdout
+
+
+def test_a_demo_leaves_bag_figure_and_summary(deepc, tmp_path):
+    done = deepc("demo", "wscc9", "--steps", "120", "--seed", "4", "--out", "run")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert "CONTROLLING" in done.stdout
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["plant"], summary["seed"], summary["steps"]) == ("wscc9", 4, 120)
+    assert (tmp_path / "run" / "figure.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
+    assert not (tmp_path / "run" / "FAILED").exists()
