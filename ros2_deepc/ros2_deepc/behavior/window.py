@@ -98,6 +98,16 @@ class DataWindow:
         pieces = [window[a:b] for a, b in pairwise(edges) if b > a]
         return tuple(Record(piece[:, : self.m], piece[:, self.m :]) for piece in pieces)
 
+    @property
+    def unbroken(self) -> int:
+        """Number of samples held of the record that is being written."""
+        return min(self._pushed - self._starts[-1], self.capacity) if self._starts else 0
+
+    def last(self, count: int) -> Array:
+        """The newest samples [u, y], at most as many as held, in time order, shape (count, m+p); a copy."""
+        end = (self._pushed - 1) % self.capacity + self.capacity + 1
+        return self._ring[end - count : end].copy()
+
     def newest(self) -> Record:
         """The record that is being written; empty right after `cut`."""
         if self._starts and self._starts[-1] < self._pushed:

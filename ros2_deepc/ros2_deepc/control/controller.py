@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The online DeePC controller: observe, step, prepare."""
 
+from dataclasses import replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,12 +13,13 @@ from ros2_deepc.behavior import DataWindow
 from ros2_deepc.behavior.hankel import Array
 from ros2_deepc.behavior.window import as_sample
 
-from .data import RunData
 from .limiter import Limiter
 from .planner import Plan, Planner
-from .problem import masked
+from .policy import RunData
 from .result import NotReadyError, Status, StepResult
-from .settings import DeepcSettings, size
+from .settings import LIVE, DeepcSettings, size
+
+DITHER_STREAM = 2  # of the seed; 0 and 1 belong to plants and excitation
 
 
 class DeepcController:
@@ -30,6 +33,8 @@ class DeepcController:
 
     With index s >= 2 the outputs y(k) exist only once u(k+s-1) is known, so u(k+1), ..., u(k+s-1) are already decided:
     the controller takes its own answers for them, or what `commit` tells it.
+
+    The same samples give the same answers to the last bit, whenever `prepare` is called.
 
     Args:
         m: number of inputs.
@@ -52,15 +57,31 @@ class DeepcController:
 
     def reset(self) -> None:
         """Forgets all data: a new run begins."""
+        base = self._sized.base
         self._data = RunData(self._sized)
-        self._recent = DataWindow(self._sized.m, self._sized.p, self._sized.base.N)
+        self._recent = DataWindow(self._sized.m + base.disturbances, self._sized.p, base.past)
+        self._planner = Planner(self._sized)
+        self._rng = np.random.Generator(np.random.PCG64([base.seed, DITHER_STREAM]))
         self._ahead: list[Array] = []  # known inputs after the last observed sample
         self._answer: Array | None = None  # step's own answer, taken as committed unless something else is
         self._last: Array | None = None  # the input one sample before the next free one
-        self._planner = Planner(self._sized)
         self._plan: tuple[int, Plan] | None = None  # the last checked plan and when it was made
         self._instant = 0
+        self._due = False  # the window has moved since the last preparation
         self._prepare_time = 0.0
+
+    def tune(self, **changes: Any) -> None:
+        """Changes settings that need no new data, from the next sample on: weights, limits, mask, terminal, solver, ...
+
+        Raises:
+            ValueError: if a setting is not among those, or does not fit the others; nothing is then changed.
+        """
+        if wrong := sorted(set(changes) - LIVE):
+            raise ValueError(f"{', '.join(wrong)} cannot change while running; these can: {', '.join(sorted(LIVE))}")
+        self._sized = size(replace(self._sized.base, **changes), self._sized.m, self._sized.p)
+        self._limiter = Limiter(self._sized.u_min, self._sized.u_max, self._sized.du_max)
+        self._planner = Planner(self._sized)
+        self._data.tune(self._sized)
 
     # What the data can do
 
@@ -71,8 +92,8 @@ class DeepcController:
 
     @property
     def rank(self) -> int:
-        """Numerical rank of the data matrix [H_{N+L+s-1}(u); H_{N+L}(y)]."""
-        return self._data.rank
+        """Numerical rank of the window's data matrix [H_{N+L+s-1}(u); H_{N+L}(y)]."""
+        return self._data.snapshot.rank
 
     @property
     def rank_need(self) -> int:
@@ -81,13 +102,13 @@ class DeepcController:
 
     @property
     def gap(self) -> float:
-        """Singular value of the data matrix at its rank over the next one; infinity if there is none."""
-        return self._data.gap
+        """Singular value of the window's data matrix at its rank over the next one; infinity if there is none."""
+        return self._data.snapshot.gap
 
     @property
     def excitation_order(self) -> int:
         """Order of persistency of excitation of the inputs in the window; counted up to what is needed."""
-        return self._data.excitation_order
+        return self._data.snapshot.excitation_order
 
     @property
     def excitation_need(self) -> int:
@@ -99,40 +120,48 @@ class DeepcController:
         """Inputs in the data window."""
         return self._data.length
 
+    @property
+    def weak(self) -> str:
+        """One line on why the newest window is too weak, if it is; empty if not, or if the policy is "fixed"."""
+        return self._data.weak
+
     def missing(self) -> str:
         """One line on what `step` still waits for; empty when ready."""
         if lacking := self._data.missing():
             return lacking
-        past = len(self._recent.newest().u)
-        if past < self._sized.base.N:
-            return f"{past} of the N = {self._sized.base.N} unbroken samples that fix the initial condition"
+        past = self._recent.unbroken
+        if past < self._sized.base.past:
+            return f"{past} of the {self._sized.base.past} unbroken samples that fix the initial condition"
         return ""
 
     # One sample
 
-    def observe(self, u: ArrayLike, y: ArrayLike) -> None:
+    def observe(self, u: ArrayLike, y: ArrayLike, d: ArrayLike | None = None) -> None:
         """Takes one sample, in time order.
 
         Args:
             u: input that was applied, u(k), shape (m,).
             y: output, y(k), shape (p,).
+            d: measured disturbances d(k), shape (disturbances,), if the settings have any.
 
         Raises:
             ValueError: on wrong shapes, NaN or infinity; nothing is then taken. Call `cut` if the sample is lost.
         """
+        base = self._sized.base
         u, y = as_sample(u, self._sized.m, "u"), as_sample(y, self._sized.p, "y")
+        ud = np.concatenate([u, as_sample([] if d is None else d, base.disturbances, "d")]) if base.disturbances else u
+        self.prepare()
         if self._answer is not None:
             self.commit(self._answer)
         self._ahead = self._ahead[1:]
-        self._recent.push(u, y)
-        self._last = self._ahead[self._sized.base.s - 2] if len(self._ahead) >= self._sized.base.s - 1 > 0 else u
-        self._data.observe(u, y, self._ahead[: self._sized.base.s - 1])
+        self._recent.push(ud, y)
+        known = self._ahead[: base.s - 1]
+        self._last = known[-1] if len(known) == base.s - 1 > 0 else u
+        self._data.observe(ud, y, [] if base.disturbances else known)
         self._instant += 1
 
     def commit(self, u: ArrayLike) -> None:
         """Says which input follows the last known one, in place of the answer of the last `step`.
-
-        Needed for s >= 2 only, where inputs are decided before the outputs that they shape are seen.
 
         Raises:
             ValueError: on a wrong shape, NaN or infinity.
@@ -147,41 +176,80 @@ class DeepcController:
         self._ahead, self._answer, self._plan = [], None, None
 
     def prepare(self) -> None:
-        """Does the work of the next step that does not need its sample; best called once the command is out."""
-        if self._planner.loaded or self._data.missing():
-            return
-        begin = perf_counter()
-        self._planner.load(self._data.predictor())
-        self._prepare_time = perf_counter() - begin
+        """Does the work of the next step that does not need its sample; best called once the command is out.
 
-    def step(self, y_ref: ArrayLike) -> StepResult:
+        If it is not called, the next `observe` does it first.
+        """
+        if self._due:
+            self._load()
+
+    def step(self, y_ref: ArrayLike, forecast: ArrayLike | None = None) -> StepResult:
         """Plans from the newest sample and answers with the first input that is still free.
 
         Args:
             y_ref: reference, shape (p,), or its trajectory over the plan, shape (L, p), row 0 for y(k+1).
+            forecast: measured disturbances to come, shape (L+s-1, disturbances), row 0 for d(k+1); the last one
+                measured if None.
 
         Returns:
             The step's result; ``u`` is u(k+s) if y(k) was the last output observed. Always an admissible input.
 
         Raises:
             NotReadyError: if the data do not suffice yet.
-            ValueError: if the reference has a wrong size or is not finite.
+            ValueError: if the reference or the forecast has a wrong size or is not finite.
         """
         begin = perf_counter()
         goal = self._reference(y_ref)
         if lacking := self.missing():
             raise NotReadyError(f"not ready: {lacking}")
-        w = self._known()
-        self.prepare()
+        w = self._known(forecast)
+        if not self._planner.loaded:
+            self._load()
         plan, remark = self._planner.plan(w, goal)
         if plan is None:
             status, plan = self._without_solution(remark)
         else:
             self._plan = (self._instant, plan)
             status = Status.SECOND_SOLVER if plan.second else Status.SOLVED
-        return self._result(status, plan, goal, begin)
+        wanted = plan.u[0] if self._dither is None else plan.u[0] + self._dither
+        u = self._limiter.apply(wanted, self._last)
+        self._answer, self._due = u, self._data.moves
+        return StepResult(
+            u=u.copy(),
+            status=status,
+            reason=plan.remark,
+            u_plan=plan.u,
+            y_plan=plan.y,
+            limited=bool(np.abs(u - wanted).max() > 1e-4 * max(1.0, np.abs(wanted).max())),
+            iterations=plan.iterations,
+            solver=plan.solver,
+            goal=goal,
+            unmet=plan.unmet,
+            sized=self._sized,
+            prepare_time=self._prepare_time,
+            solve_time=perf_counter() - begin,
+        )
 
     # Inside
+
+    def _load(self) -> None:
+        """Brings the program up to date with the window."""
+        begin = perf_counter()
+        self._planner.load(self._data.predictor())
+        self._due = False
+        self._prepare_time = perf_counter() - begin
+
+    @property
+    def _dither(self) -> Array | None:
+        """White noise that keeps the data rich, or None where none is wanted."""
+        base, amplitude = self._sized.base, self._sized.dither
+        if (
+            base.data_policy == "fixed"
+            or not amplitude.any()
+            or (base.data_policy == "guarded" and not self._data.weak)
+        ):
+            return None
+        return self._rng.uniform(-amplitude, amplitude)
 
     def _reference(self, y_ref: ArrayLike) -> Array:
         """The reference over the plan, shape (L, p)."""
@@ -193,18 +261,30 @@ class DeepcController:
             raise ValueError(f"y_ref has shape {a.shape}: give ({p},), or ({L}, {p}) for a trajectory over the plan")
         if not np.isfinite(a).all():
             raise ValueError("y_ref must be finite")
-        return np.array(np.broadcast_to(a, (L, p)))
+        goal = np.empty((L, p))
+        goal[:] = a
+        return goal
 
-    def _known(self) -> Array:
-        """What the plan starts from: [past and committed inputs; past outputs]."""
-        ahead = self._sized.base.s - 1
+    def _known(self, forecast: ArrayLike | None) -> Array:
+        """What the plan starts from: [past and committed inputs; disturbances; past outputs]."""
+        base, m = self._sized.base, self._sized.m
+        ahead = base.s - 1
         if len(self._ahead) < ahead:
             lacking = ahead - len(self._ahead)
-            raise NotReadyError(
-                f"not ready: with s = {ahead + 1}, commit() the {lacking} input(s) after the last sample"
-            )
-        past = self._recent.newest()
-        return np.concatenate([past.u.ravel(), *self._ahead[:ahead], past.y.ravel()])
+            raise NotReadyError(f"not ready: with s = {base.s}, commit() the {lacking} input(s) after the last sample")
+        past = self._recent.last(base.past)
+        committed = self._ahead[:ahead]
+        if not base.disturbances:
+            return np.concatenate([past[:, :m].ravel(), *committed, past[:, m:].ravel()])
+        nd, rows = base.disturbances, base.L + ahead
+        d_past = past[:, m : m + nd]
+        d = np.asarray(d_past[-1] if forecast is None else forecast, dtype=np.float64)
+        if d.shape not in ((nd,), (rows, nd)):
+            raise ValueError(f"forecast has shape {d.shape}: give ({nd},) or ({rows}, {nd})")
+        if not np.isfinite(d).all():
+            raise ValueError("forecast must be finite")
+        d = np.broadcast_to(d, (rows, nd))
+        return np.concatenate([past[:, :m].ravel(), *committed, d_past.ravel(), d.ravel(), past[:, m + nd :].ravel()])
 
     def _without_solution(self, remark: str) -> tuple[Status, Plan]:
         """The last checked plan shifted to now, or the fallback."""
@@ -216,49 +296,5 @@ class DeepcController:
             y = np.vstack([last.y[age:], np.full((age, p), np.nan)])
             return Status.SHIFTED_PLAN, Plan(u, y, False, "", 0, remark, last.unmet)
         held = self._last if self._last is not None else np.zeros(m)
-        u = held if self._sized.base.fallback == "hold" else self._sized.u_safe
-        return Status.FALLBACK, Plan(
-            np.tile(u, (L, 1)), np.full((L, p), np.nan), False, "", 0, remark, np.full(p, np.nan)
-        )
-
-    def _result(self, status: Status, plan: Plan, goal: Array, begin: float) -> StepResult:
-        """Limits the first input and says all there is to say."""
-        sized = self._sized
-        u = self._limiter.apply(plan.u[0], self._last)
-        self._answer = u
-        seeks = sized.base.terminal == "equilibrium" and status.solved
-        y_s = plan.y[-1].copy() if seeks else np.full(sized.p, np.nan)
-        u_s = plan.u[-1].copy() if seeks else np.full(sized.m, np.nan)
-        violation = self._violation(plan, y_s if seeks else goal[-1])
-        slack = np.maximum(np.maximum(sized.y_min - plan.y, plan.y - sized.y_max).max(axis=0), 0.0)
-        tolerance = 1e-4 * np.maximum(1.0, np.abs(plan.y).max(axis=0))
-        e = plan.y - goal
-        return StepResult(
-            u=u.copy(),
-            status=status,
-            reason=plan.remark,
-            u_plan=plan.u.copy(),
-            y_plan=plan.y.copy(),
-            u_steady=u_s,
-            y_steady=y_s,
-            distance=float(np.abs(goal[-1] - y_s)[sized.mask > 0].max(initial=0.0)) if seeks else np.nan,
-            feasible=bool((violation <= tolerance).all() and (slack <= tolerance).all()),
-            violation=violation,
-            slack=slack,
-            cost=float(np.einsum("ki,ij,kj", e, masked(sized), e) + np.einsum("ki,ij,kj", plan.u, sized.R, plan.u)),
-            limited=bool(np.abs(u - plan.u[0]).max() > 1e-4 * np.abs(plan.u).max(initial=1.0)),
-            iterations=plan.iterations,
-            solver=plan.solver,
-            prepare_time=self._prepare_time,
-            solve_time=perf_counter() - begin,
-        )
-
-    def _violation(self, plan: Plan, target: Array) -> Array:
-        """How far the plan misses its terminal condition, per output; for "hard" the least it could."""
-        sized = self._sized
-        if sized.base.terminal == "none":
-            return np.zeros(sized.p)
-        if sized.base.terminal == "hard":
-            return plan.unmet.copy()
-        off = np.abs(plan.y[-sized.base.tail :] - target).max(axis=0)
-        return np.where(sized.mask > 0, off, 0.0)
+        u = np.tile(held if self._sized.base.fallback == "hold" else self._sized.u_safe, (L, 1))
+        return Status.FALLBACK, Plan(u, np.full((L, p), np.nan), False, "", 0, remark, np.full(p, np.nan))

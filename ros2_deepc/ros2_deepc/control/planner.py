@@ -50,7 +50,8 @@ class Planner:
     def __init__(self, sized: Sized) -> None:
         self._sized = sized
         base, m = sized.base, sized.m
-        self._last_input = slice(m * (base.N + base.s - 2), m * (base.N + base.s - 1))
+        known = base.past + base.s - 1
+        self._last_input = slice(m * (known - 1), m * known)
         self._solver = CheckedSolver(base.solver)
         self._relaxed_solver = CheckedSolver(base.solver)
         self._program: Condensed | None = None

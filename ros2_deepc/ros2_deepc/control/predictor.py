@@ -1,116 +1,247 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
-"""From data to a multi-step predictor, with the rank decided once and in the open."""
+"""From data to a multi-step predictor, with the rank decided once and in the open.
+
+With the rows of the data matrix grouped as inputs, context (disturbances, past outputs), future outputs, its triangular
+factor is L = [L11 0 0; L21 L22 0; L31 L32 L33]. The inputs give the coordinates L11^-1 u. What is left of the context
+lies in the range of L22, which on exact data has the rank of the slow part and alone carries the initial condition.
+L33 is zero on exact data; it is what noise adds (the "noise block"), and it stays out of the prediction. On exact data
+this is (6.1b).
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from ros2_deepc.behavior.hankel import Array
+
+from .layout import Layout
 
 EPS = float(np.finfo(np.float64).eps)
 
 
-@dataclass(frozen=True, slots=True)
-class Blocks:
-    """Where the rows of the data matrix [H(u); H(y)] belong.
-
-    Attributes:
-        known_u: scalar rows of inputs known at the time of a step: past and committed.
-        free_u: scalar rows of planned inputs.
-        past_y: scalar rows of past outputs.
-        future_y: scalar rows of predicted outputs.
-    """
-
-    known_u: int
-    free_u: int
-    past_y: int
-    future_y: int
-
-    @property
-    def inputs(self) -> int:
-        """Scalar rows of inputs."""
-        return self.known_u + self.free_u
+class PoorDataError(ValueError):
+    """The data do not determine a predictor; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Predictor:
-    """Predicted outputs y_f = G u_f + F w, with w = [known inputs; past outputs].
+    """Predicted outputs y_f = G u_f + F w, with w = [known inputs; disturbances; past outputs].
 
     Attributes:
         G: shape (future_y, free_u).
-        F: shape (future_y, known_u + past_y).
+        F: shape (future_y, known_u + context).
+        noise: y_f may be off by noise xi with xi of unit covariance: the noise block per sample, shape (future_y, any).
+        state: y_f moves by state a if the context is moved by a (orthonormal) in the directions that count, (future_y,
+            order).
         rank: numerical rank of the data matrix.
-        order: directions of the free response kept (the slow order that the data show, if rich).
-        gap: last singular value kept over the first one dropped; infinity if none was dropped or the next one is zero.
+        order: directions of the free response kept; the slow order that the data show, if they are rich.
+        gap: last singular value kept over the next one; infinity if there is none above zero.
+        input_strength: lower bound of the smallest singular value of the input rows, per column of data.
+        state_strength: smallest singular value kept of the free response, per column of data.
+        precise: whether rounding is far below the weakest direction kept.
     """
 
     G: Array
     F: Array
+    noise: Array
+    state: Array
     rank: int
     order: int
     gap: float
+    input_strength: float
+    state_strength: float
+    precise: bool
 
 
-def channel_scale(u: Array, y: Array) -> tuple[Array, Array]:
-    """Root mean square of each channel, 1 for a channel that is zero; shapes (m,) and (p,)."""
-    scales = []
-    for w in (u, y):
-        rms = np.sqrt(np.mean(np.square(w), axis=0))
-        scales.append(np.where(rms > 0, rms, 1.0))
-    return scales[0], scales[1]
+@dataclass(frozen=True, slots=True)
+class Truncation:
+    """Which directions of the free response to keep.
+
+    Attributes:
+        how: "order" keeps at most `order` (all above rounding if 0); "gap" cuts at the largest ratio of neighbours;
+            "noise" keeps what stands above `floor`; "none" keeps all above rounding.
+        order: bound of the slow order.
+        floor: spectral norm of the noise in the data matrix.
+    """
+
+    how: str = "order"
+    order: int = 0
+    floor: float = 0.0
+
+    def keep(self, sv: Array, rounding: float) -> int:
+        """How many of the falling singular values to keep."""
+        alive = int(np.count_nonzero(sv > rounding))
+        if self.how == "order" and self.order:
+            return min(alive, self.order)
+        if self.how == "noise":
+            return int(np.count_nonzero(sv > max(rounding, self.floor)))
+        if self.how == "gap" and alive:
+            ratios = sv[:alive] / np.append(sv[1:alive], max(rounding, sv[alive] if alive < sv.size else 0.0))
+            return int(np.argmax(ratios)) + 1
+        return alive
 
 
 def triangle(W: Array) -> Array:
-    """Lower-triangular factor of the data matrix: L with L L' = W W', shape (rows, min(rows, columns))."""
+    """Lower-triangular L with L L' = W W', shape (rows, min(rows, columns))."""
     R: Array = np.linalg.qr(W.T, mode="r")  # type: ignore[assignment]
     return np.ascontiguousarray(R.T)
 
 
-def fit(L: Array, blocks: Blocks, columns: int, order: int = 0, floor: float = 0.0) -> Predictor:
-    """Predictor from the triangular factor of the data matrix (rows: inputs, past outputs, future outputs).
-
-    With L = [L11 0 0; L21 L22 0; L31 L32 L33], inputs u give the coordinates L11^-1 u; what is left of the past outputs
-    lies in the range of L22, whose rank is the slow order on exact data and which alone carries the initial condition.
-    L33 is zero on exact data; it is what noise adds, and it is left out. On exact data this is (6.1b).
+def fit(W: Array, layout: Layout, columns: int, cut: Truncation) -> Predictor:
+    """Predictor from the data matrix, or from any matrix with the same W W'.
 
     Args:
-        L: factor, shape (rows, min(rows, columns)), channels scaled alike.
-        blocks: the rows.
+        W: shape (rows, any), rows grouped, channels scaled alike.
+        layout: the rows.
         columns: columns of the data matrix.
-        order: keep at most this many directions of the free response; 0 for as many as stand above the floor.
-        floor: size of noise in the data matrix (spectral norm); directions below it are dropped.
+        cut: directions to keep.
 
     Raises:
-        ValueError: if the inputs do not have full row rank.
+        PoorDataError: if the inputs do not have full row rank.
     """
-    nu, ni = blocks.inputs, blocks.past_y
-    largest = float(np.linalg.norm(L, 2))
-    rounding = 10 * max(L.shape[0], columns) * EPS * largest
-    L11 = L[:nu, :nu]
-    if L.shape[1] < nu or np.linalg.svd(L11, compute_uv=False)[-1] <= rounding:
-        raise ValueError(f"the inputs do not excite of order {nu}: more samples or richer inputs are needed")
-    rest = np.linalg.svd(L[nu:, nu:], compute_uv=False)
-    rank = nu + int(np.count_nonzero(rest > max(rounding, floor)))
-    Ui, si, Vi = np.linalg.svd(L[nu : nu + ni, nu : nu + ni], full_matrices=False)
-    kept = int(np.count_nonzero(si > max(rounding, floor)))
-    if order:
-        kept = min(kept, order)
-    below = si[kept] if kept < si.size else 0.0
-    gap = float(si[kept - 1] / below) if kept and below > 0 else np.inf
-    from_past = (L[nu + ni :, nu : nu + ni] @ Vi[:kept].T / si[:kept]) @ Ui[:, :kept].T
-    from_inputs = solve_triangular(
-        L11, (L[nu + ni :, :nu] - from_past @ L[nu : nu + ni, :nu]).T, lower=True, trans="T"
-    ).T
-    F = np.hstack([from_inputs[:, : blocks.known_u], from_past])
-    return Predictor(np.ascontiguousarray(from_inputs[:, blocks.known_u :]), F, rank, kept, gap)
+    L = triangle(W)
+    nu, nc = layout.inputs, layout.context
+    rounding = 10 * max(L.shape[0], columns) * EPS * float(np.linalg.norm(L))
+    inverse = _inverse(L[:nu, :nu], rounding)
+    rest = L[nu:, nu:]
+    V, sv, Wt = np.linalg.svd(rest[:nc, :nc], full_matrices=False)
+    kept = cut.keep(sv, rounding)
+    rank = nu + int(np.count_nonzero(np.linalg.svd(rest, compute_uv=False) > max(rounding, cut.floor)))
+    to_future = rest[nc:, :nc] @ Wt[:kept].T / sv[:kept]
+    return _assemble(layout, columns, inverse, L[nu:, :nu], V[:, :kept], sv, to_future, rest[nc:, nc:], rank, rounding)
 
 
-def unscale(predictor: Predictor, u_scale: Array, y_scale: Array, blocks: Blocks) -> Predictor:
-    """The predictor in the units of the channels."""
-    m, p = u_scale.size, y_scale.size
-    future = np.tile(y_scale, blocks.future_y // p)[:, None]
-    known = np.concatenate([np.tile(u_scale, blocks.known_u // m), np.tile(y_scale, blocks.past_y // p)])
-    G = future * predictor.G / np.tile(u_scale, blocks.free_u // m)
-    return Predictor(G, future * predictor.F / known, predictor.rank, predictor.order, predictor.gap)
+def fit_gram(S: Array, layout: Layout, columns: int, cut: Truncation, noise_block: bool) -> Predictor:
+    """Predictor from the Gram matrix S = W W' of the data matrix: much faster than `fit`, with half the digits.
+
+    Args:
+        S: shape (rows, rows), rows grouped, channels scaled alike.
+        layout: the rows.
+        columns: columns of the data matrix.
+        cut: directions to keep.
+        noise_block: whether the noise block is wanted.
+
+    Raises:
+        PoorDataError: if the inputs do not have full row rank.
+    """
+    nu, nc = layout.inputs, layout.context
+    rounding = float(np.sqrt(10 * S.shape[0] * EPS * np.trace(S)))
+    L11, flag = dpotrf(S[:nu, :nu], lower=1, clean=1)
+    if flag != 0:
+        raise PoorDataError(f"the inputs do not excite: their Gram matrix is singular in row {flag}")
+    inverse = _inverse(L11, rounding)
+    below = S[nu:, :nu] @ inverse.T
+    M = S[nu:, nu:] - below @ below.T
+    squares, V = np.linalg.eigh(M[:nc, :nc])
+    sv, V = np.sqrt(np.maximum(squares[::-1], 0.0)), V[:, ::-1]
+    kept = cut.keep(sv, rounding)
+    to_future = (M[nc:, :nc] @ V[:, :kept]) / sv[:kept] ** 2
+    L33 = np.zeros((layout.future_y, 0))
+    if noise_block:
+        left = M[nc:, nc:] - (to_future * sv[:kept] ** 2) @ to_future.T
+        energy, U = np.linalg.eigh(left)
+        L33 = U * np.sqrt(np.maximum(energy, 0.0))
+    return _assemble(layout, columns, inverse, below, V[:, :kept], sv, to_future, L33, nu + kept, rounding)
+
+
+def fit_causal(W: Array, layout: Layout, columns: int, cut: Truncation) -> Predictor:
+    """Predictor in which y(k+j) never leans on inputs later than those that shape it.
+
+    On closed-loop data later inputs answer to earlier noise, and a joint regression takes the answer for a cause. Here
+    each future instant is regressed on the past and on the instants before it, with their prediction errors left out,
+    as in transient predictive control (Moffat, Dorfler, Chiuso 2025). On exact data it equals `fit`.
+
+    Args:
+        W: shape (rows, any), rows grouped, channels scaled alike; see `fit` for all arguments.
+        layout: the rows.
+        columns: columns of the data matrix.
+        cut: directions to keep.
+
+    Raises:
+        PoorDataError: if the inputs do not have full row rank.
+    """
+    joint = fit(W, layout, columns, cut)
+    L = triangle(W[layout.causal])
+    L = np.hstack([L, np.zeros((L.shape[0], L.shape[0] - L.shape[1]))])
+    known, past = layout.known_u, layout.past
+    place = np.empty_like(layout.causal)
+    place[layout.causal] = np.arange(place.size)  # where a grouped row has gone
+    u_rows = place[known : known + layout.free_u]
+    y_rows = place[layout.inputs + layout.context :]
+    rounding = 10 * max(L.shape[0], columns) * EPS * float(np.linalg.norm(L))
+    K_known = _inverse(L[:known, :known], rounding)
+    V, sv, Wt = np.linalg.svd(L[known:past, known:past])
+    kept = cut.keep(sv, rounding)
+    # coordinates of the past: first those of the known inputs, then the directions of the context that are kept
+    from_context = (Wt[:kept].T / sv[:kept]) @ V[:, :kept].T
+    to_past = np.block(
+        [
+            [K_known, np.zeros((known, past - known))],
+            [-from_context @ L[known:past, :known] @ K_known, from_context],
+        ]
+    )
+    U = _inverse(L[np.ix_(u_rows, u_rows)], rounding)  # innovations of the inputs, given what came before
+    G = L[np.ix_(y_rows, u_rows)] @ U
+    F = (L[y_rows, :past] - G @ L[u_rows, :past]) @ to_past
+    return Predictor(
+        G,
+        F,
+        joint.noise,
+        joint.state,
+        joint.rank,
+        kept,
+        joint.gap,
+        joint.input_strength,
+        joint.state_strength,
+        joint.precise,
+    )
+
+
+def _inverse(L11: Array, rounding: float) -> Array:
+    """Inverse of the inputs' triangle."""
+    if L11.shape[0] != L11.shape[1]:
+        raise PoorDataError(
+            f"{L11.shape[1]} columns of data cannot hold {L11.shape[0]} input rows: more samples needed"
+        )
+    diagonal = np.abs(np.diag(L11))
+    if diagonal.size and diagonal.min() <= rounding:
+        raise PoorDataError("the inputs do not excite of the order needed: richer inputs are needed")
+    inverse, flag = dtrtri(L11, lower=1)
+    if flag != 0:
+        raise PoorDataError("the inputs do not excite of the order needed: richer inputs are needed")
+    return np.asarray(inverse)
+
+
+def _assemble(
+    layout: Layout,
+    columns: int,
+    inverse: Array,
+    below: Array,
+    V: Array,
+    sv: Array,
+    to_future: Array,
+    L33: Array,
+    rank: int,
+    rounding: float,
+) -> Predictor:
+    """The predictor from the parts of the factor; below = [L21; L31], to_future maps free coordinates to outputs."""
+    nc, kept = layout.context, V.shape[1]
+    from_context = to_future @ V.T
+    from_inputs = (below[nc:] - from_context @ below[:nc]) @ inverse
+    weakest = float(sv[kept - 1]) if kept else np.inf
+    following = float(sv[kept]) if kept < sv.size else 0.0
+    root = np.sqrt(columns)
+    return Predictor(
+        G=from_inputs[:, layout.known_u :],
+        F=np.hstack([from_inputs[:, : layout.known_u], from_context]),
+        noise=L33 / root,
+        state=to_future,
+        rank=rank,
+        order=kept,
+        gap=weakest / following if following > 0 else np.inf,
+        input_strength=1.0 / (float(np.linalg.norm(inverse)) * root),
+        state_strength=weakest / root,
+        precise=weakest > 1e3 * rounding,
+    )

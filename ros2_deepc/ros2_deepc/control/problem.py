@@ -16,6 +16,7 @@ from .predictor import Predictor
 from .settings import Sized, Terminal
 
 TINY = 1e-6  # weight, relative to R, that pins what nothing else determines: steady values of inputs without effect
+FREE = 1e-12  # price of a doubt that is free
 THIN = 1e-7  # terminal rows weaker than this against the strongest cannot be met by inputs, whatever they are
 
 
@@ -77,11 +78,15 @@ def condense(
     )
     cost, rows = _Cost(n, known + p * L), _Rows(n, known + p * L)
     beyond = np.zeros((0, known + p * L))
+    weight = stage_weight(predictor, sized)
     if terminal == "equilibrium":
-        _equilibrium_cost(cost, sized, plan)
+        _equilibrium_cost(cost, sized, plan, weight)
     else:
-        cost.add(plan.outputs, plan.theta - plan.goal, masked(sized))
-        cost.add(plan.inputs, None, sized.R)
+        cost.add(plan.outputs, plan.theta - plan.goal, weight)
+        if sized.base.form == "incremental":
+            cost.add(*_moves(sized, plan, last_input), sized.R)
+        else:
+            cost.add(plan.inputs, None, sized.R)
     if terminal == "soft" or relaxed:
         _terminal_penalty(cost, sized, plan)
     elif terminal == "hard":
@@ -124,6 +129,29 @@ def masked(sized: Sized) -> Array:
     root = np.sqrt(sized.mask)
     Q: Array = root[:, None] * sized.Q * root
     return Q
+
+
+def stage_weight(predictor: Predictor, sized: Sized) -> Array:
+    """Weight of the output deviations: Q per sample, or (p L, p L) where the prediction is allowed some doubt.
+
+    The noise block and the slack on the initial condition let the prediction move by D xi at a price |xi|^2. Minimised
+    over xi, the stage cost keeps its form with the weight Q - Q D (I + D'QD)^-1 D'Q: deviations in directions in which
+    the data are in doubt count less. So they cost no further unknowns. The reported plan stays the nominal one.
+    """
+    base, Q = sized.base, masked(sized)
+    doubts = []
+    if base.noise_block != "off":
+        price = base.regularization if base.noise_block == "ridge" else 0.0
+        doubts.append(predictor.noise / np.sqrt(max(price, FREE)))
+    if np.isfinite(base.initial_slack):
+        doubts.append(predictor.state / np.sqrt(max(base.initial_slack, FREE)))
+    if not doubts:
+        return Q
+    values, vectors = np.linalg.eigh(Q)
+    root = np.kron(np.eye(base.L), (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    U, sv, _ = np.linalg.svd(root @ np.hstack(doubts), full_matrices=False)
+    shrunk = (U * (sv**2 / (1.0 + sv**2))) @ U.T
+    return np.asarray(root @ (np.eye(len(root)) - shrunk) @ root)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +198,7 @@ class _Rows:
         return np.vstack(self._C), np.vstack(self._D), np.concatenate(self._low), np.concatenate(self._high)
 
 
-def _equilibrium_cost(cost: _Cost, sized: Sized, plan: _Plan) -> None:
+def _equilibrium_cost(cost: _Cost, sized: Sized, plan: _Plan, weight: Array) -> None:
     """Stage cost against the plan's own end (u_s, y_s), distance of y_s from the reference, and rest over the tail.
 
     y_s and u_s are the last predicted output and the last planned input, not further unknowns: at rest the two
@@ -184,7 +212,7 @@ def _equilibrium_cost(cost: _Cost, sized: Sized, plan: _Plan) -> None:
     off = plan.outputs - np.tile(y_s, (L, 1))
     off_theta = plan.theta - np.tile(y_s_theta, (L, 1))
     shape = plan.goal - np.tile(end, (L, 1))  # a previewed reference is followed relative to its end
-    cost.add(off, off_theta - shape, Q)
+    cost.add(off, off_theta - shape, weight)
     cost.add(plan.inputs - np.tile(plan.inputs[-m:], (L, 1)), None, sized.R)
     cost.add(y_s, y_s_theta - end, sized.base.offset_weight * Q)
     cost.add(off[-p * tail :], off_theta[-p * tail :], sized.base.terminal_weight * Q)
@@ -227,15 +255,21 @@ def _output_rows(rows: _Rows, cost: _Cost, sized: Sized, plan: _Plan) -> None:
     cost.H[plan.free :, plan.free :] = price * np.eye(p)
 
 
-def _rate_rows(rows: _Rows, sized: Sized, plan: _Plan, last_input: slice) -> None:
-    m, L = sized.m, sized.base.L
+def _moves(sized: Sized, plan: _Plan, last_input: slice) -> tuple[Array, Array]:
+    """Changes of the inputs from one planned sample to the next, C x + D theta."""
+    m = sized.m
     C = plan.inputs.copy()
     C[m:] -= plan.inputs[:-m]
-    D = np.zeros((m * L, plan.theta.shape[1]))
+    D = np.zeros((C.shape[0], plan.theta.shape[1]))
     D[:m, last_input] = -np.eye(m)
-    moves = (np.abs(C).sum(axis=1) + np.abs(D).sum(axis=1)) > 0  # blocked moves cannot change
-    limit = np.tile(sized.du_max, L)[moves]
-    rows.add(C[moves], D[moves], -limit, limit)
+    return C, D
+
+
+def _rate_rows(rows: _Rows, sized: Sized, plan: _Plan, last_input: slice) -> None:
+    C, D = _moves(sized, plan, last_input)
+    some = (np.abs(C).sum(axis=1) + np.abs(D).sum(axis=1)) > 0  # blocked moves cannot change
+    limit = np.tile(sized.du_max, sized.base.L)[some]
+    rows.add(C[some], D[some], -limit, limit)
 
 
 def _box(sized: Sized, free: int, n: int) -> tuple[Array, Array]:

@@ -2,10 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a control step answers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
+import numpy as np
+
 from ros2_deepc.behavior.hankel import Array
+
+from .settings import Sized
 
 
 class NotReadyError(RuntimeError):
@@ -30,30 +34,24 @@ class Status(IntEnum):
         return self <= Status.SECOND_SOLVER
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StepResult:
-    """One control step.
+    """One control step. What follows from the plan is worked out when it is asked for, after the input has left.
 
     Attributes:
         u: input to apply at the first instant that is still free, shape (m,); respects the box and the rate limits.
         status: how ``u`` came about.
         reason: one line for people; empty if all is well.
         u_plan: planned inputs from ``u`` on, shape (L, m).
-        y_plan: predicted outputs from the next instant on, shape (L, p); NaN in status FALLBACK.
-        u_steady: steady input aimed at, shape (m,); NaN unless terminal is "equilibrium".
-        y_steady: steady output aimed at, shape (p,); NaN unless terminal is "equilibrium".
-        distance: largest |y_ref - y_steady| over the outputs that count (mask > 0), in output units: how far the
-            reference is from the nearest steady state in reach; NaN unless terminal is "equilibrium".
-        feasible: whether the terminal condition and the output limits hold for the plan.
-        violation: how far the plan misses the terminal condition, per output, shape (p,), output units; for "hard" the
-            least that any admissible plan misses (6.1c) by, zero where it can hold.
-        slack: largest violation of the output limits per output, shape (p,), output units.
-        cost: value of (6.1a) at the plan, the sum of |y - y_ref|_Q^2 + |u|_R^2 with the mask applied to Q.
-        limited: whether the limiter had to change the solver's input by more than rounding.
+        y_plan: predicted outputs from the next instant on, shape (L, p); NaN where nothing is predicted.
+        limited: whether the limiter had to change the planned input by more than rounding.
         iterations: iterations of the solver that answered.
         solver: its name; "" if none did.
         prepare_time: wall time of the last preparation [s].
         solve_time: wall time of this step, from call to answer [s].
+        goal: reference over the plan, shape (L, p).
+        unmet: for terminal "hard": the least that any admissible plan misses (6.1c) by, per output, shape (p,).
+        sized: settings in force.
     """
 
     u: Array
@@ -61,15 +59,67 @@ class StepResult:
     reason: str
     u_plan: Array
     y_plan: Array
-    u_steady: Array
-    y_steady: Array
-    distance: float
-    feasible: bool
-    violation: Array
-    slack: Array
-    cost: float
     limited: bool
     iterations: int
     solver: str
     prepare_time: float
     solve_time: float
+    goal: Array = field(repr=False)
+    unmet: Array = field(repr=False)
+    sized: Sized = field(repr=False)
+
+    @property
+    def _seeks(self) -> bool:
+        return self.sized.base.terminal == "equilibrium" and self.status.solved
+
+    @property
+    def u_steady(self) -> Array:
+        """Steady input aimed at, shape (m,); NaN unless terminal is "equilibrium" and a solver answered."""
+        return self.u_plan[-1].copy() if self._seeks else np.full(self.sized.m, np.nan)
+
+    @property
+    def y_steady(self) -> Array:
+        """Steady output aimed at, shape (p,); NaN unless terminal is "equilibrium" and a solver answered."""
+        return self.y_plan[-1].copy() if self._seeks else np.full(self.sized.p, np.nan)
+
+    @property
+    def distance(self) -> float:
+        """How far the reference is from the nearest steady state in reach, largest over the outputs that count.
+
+        In output units; NaN unless terminal is "equilibrium" and a solver answered.
+        """
+        if not self._seeks:
+            return np.nan
+        return float(np.abs(self.goal[-1] - self.y_steady)[self.sized.mask > 0].max(initial=0.0))
+
+    @property
+    def violation(self) -> Array:
+        """How far the plan misses the terminal condition, per output, shape (p,); see `unmet` for "hard"."""
+        terminal, tail = self.sized.base.terminal, self.sized.base.tail
+        if terminal == "none":
+            return np.zeros(self.sized.p)
+        if terminal == "hard":
+            return self.unmet.copy()
+        target = self.y_plan[-1] if terminal == "equilibrium" else self.goal[-tail:]
+        off = np.abs(self.y_plan[-tail:] - target).max(axis=0)
+        return np.asarray(np.where(self.sized.mask > 0, off, 0.0))
+
+    @property
+    def slack(self) -> Array:
+        """Largest violation of the output limits per output, shape (p,)."""
+        over = np.maximum(self.sized.y_min - self.y_plan, self.y_plan - self.sized.y_max)
+        return np.maximum(over.max(axis=0), 0.0)
+
+    @property
+    def feasible(self) -> bool:
+        """Whether the terminal condition and the output limits hold for the plan, to 1e-4 of the outputs' size."""
+        tolerance = 1e-4 * np.maximum(1.0, np.abs(self.y_plan).max(axis=0))
+        return bool((self.violation <= tolerance).all() and (self.slack <= tolerance).all())
+
+    @property
+    def cost(self) -> float:
+        """Value of (6.1a) at the plan: the sum of |y - y_ref|_Q^2 + |u|_R^2, the mask applied to Q."""
+        e = (self.y_plan - self.goal) * np.sqrt(self.sized.mask)
+        return float(
+            np.einsum("ki,ij,kj", e, self.sized.Q, e) + np.einsum("ki,ij,kj", self.u_plan, self.sized.R, self.u_plan)
+        )

@@ -15,7 +15,35 @@ Weight = float | Sequence[float] | Sequence[Sequence[float]] | Array
 Terminal = Literal["none", "equilibrium", "hard", "soft"]
 Solver = Literal["osqp", "daqp"]
 Fallback = Literal["hold", "safe"]
-DataPolicy = Literal["fixed"]
+DataPolicy = Literal["fixed", "sliding", "guarded"]
+Form = Literal["absolute", "incremental"]
+Regression = Literal["joint", "causal"]
+Cut = Literal["order", "gap", "noise", "none"]
+NoiseBlock = Literal["off", "ridge", "free"]
+
+# Settings that may change while running: they need no other data.
+LIVE = frozenset(
+    {
+        "Q",
+        "R",
+        "u_min",
+        "u_max",
+        "du_max",
+        "y_min",
+        "y_max",
+        "terminal",
+        "terminal_steps",
+        "terminal_weight",
+        "offset_weight",
+        "mask",
+        "slack_weight",
+        "solver",
+        "guard",
+        "dither",
+        "fallback",
+        "u_safe",
+    }
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,8 +71,23 @@ class DeepcSettings:
         mask: weight per output in [0, 1], (p,); 0 for an output that is not to be chased.
         slack_weight: price of violating an output limit, relative to Q.
         solver: solver tried first; the other one is the second try.
-        data_policy: "fixed": the first T inputs of this very run, as in the paper.
+        form: "absolute", or "incremental": predicts changes, offset-free under constant disturbances and at operating
+            points; with terminal "none", R then weighs the moves.
+        data_policy: "fixed": the first T inputs of this very run, as in the paper; "sliding": always the newest T;
+            "guarded": the newest T as long as they excite, else the last window that did.
+        guard: least strength of a window that "guarded" takes, relative to the first one, in (0, 1].
+        dither: amplitude of white noise added to the inputs so that they keep exciting, a number or (m,): at every
+            step with "sliding", with "guarded" only while the newest window is too weak.
+        seed: of the dither.
+        disturbances: number of measured disturbances: known inputs that cannot be chosen, given with every sample.
         noise: standard deviation of the output noise, a number or (p,); 0 for exact data. Used in rank decisions.
+        cut: directions of the free response to keep: "order" at most q of them, "gap" up to the largest gap, "noise"
+            those above the noise, "none" all above rounding.
+        predictor: "joint" regression, or "causal", unbiased on data that were recorded in closed loop.
+        noise_block: what noise adds to the behaviour: "off", "ridge" with weight `regularization`, or "free" as (6.1)
+            has it when typed in.
+        regularization: price of the noise block per sample of data, relative to unit covariance.
+        initial_slack: price of moving the initial condition by the root mean square of the outputs; inf for never.
         fallback: what is applied when no plan is left: "hold" the last input or go to the "safe" one.
         u_safe: safe input, a number or (m,).
     """
@@ -68,8 +111,18 @@ class DeepcSettings:
     mask: Numbers = 1.0
     slack_weight: float = 1000.0
     solver: Solver = "osqp"
+    form: Form = "absolute"
     data_policy: DataPolicy = "fixed"
+    guard: float = 0.1
+    dither: Numbers = 0.0
+    seed: int = 0
+    disturbances: int = 0
     noise: Numbers = 0.0
+    cut: Cut = "order"
+    predictor: Regression = "joint"
+    noise_block: NoiseBlock = "off"
+    regularization: float = 100.0
+    initial_slack: float = np.inf
     fallback: Fallback = "hold"
     u_safe: Numbers = 0.0
 
@@ -81,19 +134,34 @@ class DeepcSettings:
                 object.__setattr__(self, field.name, _frozen(value))
             elif isinstance(value, np.generic):
                 object.__setattr__(self, field.name, value.item())
-        for name, least in (("N", 1), ("L", 1), ("T", 0), ("s", 1), ("q", 0), ("terminal_steps", 0)):
+        for name, least in (
+            ("N", 1),
+            ("L", 1),
+            ("T", 0),
+            ("s", 1),
+            ("q", 0),
+            ("terminal_steps", 0),
+            ("disturbances", 0),
+            ("seed", 0),
+        ):
             _whole(name, getattr(self, name), least)
         for name, kind in (
             ("terminal", Terminal),
             ("solver", Solver),
             ("data_policy", DataPolicy),
             ("fallback", Fallback),
+            ("form", Form),
+            ("predictor", Regression),
+            ("cut", Cut),
+            ("noise_block", NoiseBlock),
         ):
             _one_of(name, getattr(self, name), get_args(kind))
-        for name in ("terminal_weight", "offset_weight", "slack_weight"):
+        for name in ("terminal_weight", "offset_weight", "slack_weight", "regularization", "initial_slack"):
             value = getattr(self, name)
-            if not (isinstance(value, (int, float)) and np.isfinite(value) and value >= 0):
+            if not (isinstance(value, (int, float)) and value >= 0 and (np.isfinite(value) or name == "initial_slack")):
                 raise ValueError(f"{name} = {value}: must be a finite number >= 0")
+        if not (isinstance(self.guard, (int, float)) and 0 < self.guard <= 1):
+            raise ValueError(f"guard = {self.guard}: must lie in (0, 1]")
         if self.terminal != "none" and self.tail >= self.L:
             raise ValueError(
                 f'terminal = "{self.terminal}" holds for the last {self.tail} samples: needs L >= {self.tail + 1}, '
@@ -104,6 +172,11 @@ class DeepcSettings:
     def tail(self) -> int:
         """Samples at the end of the plan for which the terminal condition holds."""
         return self.terminal_steps or self.N
+
+    @property
+    def past(self) -> int:
+        """Past samples that a step needs: N, and one more to take differences of."""
+        return self.N + (self.form == "incremental")
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,6 +198,7 @@ class Sized:
         u_min: (m,), as all limits of inputs.
         u_max: (m,).
         du_max: (m,).
+        dither: (m,).
         u_safe: (m,).
         y_min: (p,), as all numbers per output.
         y_max: (p,).
@@ -146,6 +220,7 @@ class Sized:
     u_min: Array
     u_max: Array
     du_max: Array
+    dither: Array
     u_safe: Array
     y_min: Array
     y_max: Array
@@ -161,7 +236,9 @@ def size(base: DeepcSettings, m: int, p: int) -> Sized:
     """
     _whole("m", m, 1)
     _whole("p", p, 1)
-    arrays = {name: _per_channel(name, getattr(base, name), m) for name in ("u_min", "u_max", "du_max", "u_safe")}
+    arrays = {
+        name: _per_channel(name, getattr(base, name), m) for name in ("u_min", "u_max", "du_max", "u_safe", "dither")
+    }
     arrays |= {name: _per_channel(name, getattr(base, name), p) for name in ("y_min", "y_max", "mask", "noise")}
     for kind in ("u", "y"):
         low, high = arrays[f"{kind}_min"], arrays[f"{kind}_max"]
@@ -175,12 +252,14 @@ def size(base: DeepcSettings, m: int, p: int) -> Sized:
         raise ValueError(f"mask = {arrays['mask'].tolist()}: each entry must lie in [0, 1]")
     if not (np.isfinite(arrays["noise"]) & (arrays["noise"] >= 0)).all():
         raise ValueError(f"noise = {arrays['noise'].tolist()}: a standard deviation must be finite and >= 0")
+    if not (np.isfinite(arrays["dither"]) & (arrays["dither"] >= 0)).all():
+        raise ValueError(f"dither = {arrays['dither'].tolist()}: amplitudes must be finite and >= 0")
     arrays["u_safe"] = np.clip(arrays["u_safe"], arrays["u_min"], arrays["u_max"])
     weights = {"Q": _weight("Q", base.Q, p), "R": _weight("R", base.R, m)}
-    return Sized(base=base, m=m, p=p, **_counts(base, m), **weights, **arrays)  # type: ignore[arg-type]
+    return Sized(base=base, m=m, p=p, **_counts(base, m, p), **weights, **arrays)  # type: ignore[arg-type]
 
 
-def _counts(base: DeepcSettings, m: int) -> dict[str, int]:
+def _counts(base: DeepcSettings, m: int, p: int) -> dict[str, int]:
     """Rows, ranks and orders; T checked against what it can ever reach (Corollary 1 and the rank of rich data)."""
     delta = base.q or base.N - base.s + 1
     if delta < 1:
@@ -188,11 +267,13 @@ def _counts(base: DeepcSettings, m: int) -> dict[str, int]:
             f"N = {base.N} with s = {base.s} leaves no room for the initial condition: needs N >= {base.s}"
         )
     rows_u = base.N + base.L + base.s - 1
-    order = rows_u + delta
-    for_rank = (m + 1) * (base.N + base.L) + m * (base.s - 1) + delta + base.s - 2
-    for_order = (m + 1) * order - 1
-    rank = m * rows_u + delta
-    T = base.T or for_order
+    rank, order = m * rows_u + delta, rows_u + delta
+    spent = base.s - 1 + (base.form == "incremental")  # inputs without an output yet, and one for the first difference
+    for_rank = rank + base.N + base.L - 1 + spent
+    for_order = (m + 1) * order - 1 + (base.form == "incremental")
+    for_causal = (m + base.disturbances) * rows_u + (p + 1) * (base.N + base.L) - 1 + spent
+    causal = base.predictor == "causal"
+    T = base.T or max(for_order, for_causal if causal else 0)
     if base.q and for_rank > T:
         raise ValueError(
             f"T = {T} can never reach the rank m(N+L+s-1)+q = {rank}: needs T >= {for_rank} "
@@ -203,6 +284,8 @@ def _counts(base: DeepcSettings, m: int) -> dict[str, int]:
             f"T = {T} cannot excite of order N+L+q+s-1 = {order} (q unknown, at most N-s+1 = {delta}): "
             f"needs T >= {for_order}, or give q"
         )
+    if causal and for_causal > T:
+        raise ValueError(f"T = {T} has fewer columns than the causal predictor has rows: needs T >= {for_causal}")
     return {
         "T": T,
         "rows_u": rows_u,

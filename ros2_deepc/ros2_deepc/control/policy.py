@@ -1,0 +1,220 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which data of the run the controller uses: the first rich window, or the newest."""
+
+import numpy as np
+
+from ros2_deepc.behavior import DataWindow, Record, SlidingFactor, SlidingGram
+from ros2_deepc.behavior.hankel import Array
+
+from .data import Snapshot, noise_norm, truncation
+from .layout import lay_out
+from .predictor import PoorDataError, Predictor, fit, fit_causal, fit_gram
+from .settings import Sized
+from .transform import accumulate, unscale
+
+
+class RunData:
+    """The data window of a run, under the data policy of the settings.
+
+    Until the data are rich, the window holds the newest T inputs. Then "fixed" keeps them for good. "sliding" and
+    "guarded" go on, with a Gram matrix or a triangular factor of the data matrix that follows in constant time. A
+    weaker window than the guard allows is not adopted by "guarded"; one that determines no predictor at all is adopted
+    by neither.
+
+    Args:
+        sized: settings.
+    """
+
+    def __init__(self, sized: Sized) -> None:
+        self._sized = sized
+        self._layout = lay_out(sized)
+        self._window = DataWindow(sized.m + sized.base.disturbances, sized.p, sized.T)
+        self._ahead: list[Array] = []
+        self._now: Snapshot | None = None
+        self._first: Snapshot | None = None
+        self._stream: _Stream | None = None
+        self._adopted: Predictor | None = None
+        self._strength = (0.0, 0.0)
+        self.weak = ""
+
+    @property
+    def length(self) -> int:
+        """Inputs in the window."""
+        return min(len(self._window) + len(self._ahead), self._sized.T)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the predictor changes while the plant is controlled."""
+        return self._sized.base.data_policy != "fixed"
+
+    def observe(self, u: Array, y: Array, ahead: list[Array]) -> None:
+        """Takes a sample, u (m + disturbances,), and the inputs already decided after it."""
+        if self._first is not None and not self.moves:
+            return
+        self._window.push(u, y)
+        self._ahead, self._now = ahead, None
+        if self._stream is not None:
+            self._stream.push(u, y)
+        elif self.length >= self._sized.T and self.snapshot.rich:
+            self._first = self.snapshot
+            if self.moves:
+                self._stream = _Stream(self._sized, self._first.scale)
+                self._stream.refill(self._window.records())
+
+    def cut(self) -> None:
+        """The next sample starts a new record."""
+        if self._first is None or self.moves:
+            self._window.cut()
+            self._ahead = []
+        if self._stream is not None:
+            self._stream.cut()
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """What the window holds now; the data in use, if the policy is "fixed"."""
+        if self._first is not None and not self.moves:
+            return self._first
+        if self._now is None:
+            scale = self._first.scale if self._first is not None else None
+            self._now = Snapshot(self._records(), self._sized, self._layout, scale)
+        return self._now
+
+    def tune(self, sized: Sized) -> None:
+        """Takes settings that differ in nothing that the data depend on."""
+        self._sized = sized
+
+    def missing(self) -> str:
+        """One line on what the data lack; empty if nothing."""
+        if self._first is not None:
+            return ""
+        sized = self._sized
+        if self.length < sized.T:
+            return f"{sized.T - self.length} more samples: {self.length} of T = {sized.T} inputs are in the window"
+        rank = f" and rank {self.snapshot.rank} is below {sized.rank_need}" if sized.base.q else ""
+        return (
+            f"richer inputs: they excite of order {self.snapshot.excitation_order}, needs {sized.excitation_need}"
+            f"{rank}; the window moves on until either holds"
+        )
+
+    def predictor(self) -> Predictor:
+        """The predictor to use now, in the units of the plant: the same object as long as it does not change."""
+        assert self._first is not None  # asked for only when nothing is missing
+        if self._adopted is None:
+            first = self._first.predictor()
+            self._strength = (first.input_strength, first.state_strength)
+            self._adopted = self._in_units(first)
+        elif self.moves:
+            newest = self._newest()
+            if newest is not None:
+                self._adopted = self._in_units(newest)
+        return self._adopted
+
+    def _newest(self) -> Predictor | None:
+        """The newest window's predictor for scaled channels, if it may be adopted; otherwise says why in `weak`."""
+        stream, guarded = self._stream, self._sized.base.data_policy == "guarded"
+        assert stream is not None  # made with the first rich window
+        try:
+            newest = stream.predictor() or self.snapshot.predictor()
+            self.weak = self._weakness(newest)
+            if self.weak and guarded:
+                return None
+            if not newest.precise and stream.refine(self._window.records()):
+                newest = stream.predictor() or newest
+        except PoorDataError as error:
+            self.weak = str(error)
+            return None
+        return newest
+
+    def _weakness(self, newest: Predictor) -> str:
+        """Why the newest window is too weak, in one line; empty if it is not."""
+        shares = (newest.input_strength / self._strength[0], newest.state_strength / self._strength[1])
+        if min(shares) >= self._sized.base.guard:
+            return ""
+        what = "inputs" if shares[0] <= shares[1] else "free response"
+        return f"the {what} of the newest window excite {min(shares):.2g} of the first one's"
+
+    def _in_units(self, predictor: Predictor) -> Predictor:
+        assert self._first is not None
+        in_units = unscale(predictor, *self._first.scale, self._sized)
+        return accumulate(in_units, self._sized) if self._sized.base.form == "incremental" else in_units
+
+    def _records(self) -> tuple[Record, ...]:
+        """The newest T inputs with their outputs; decided inputs appended, differences if the form asks for them."""
+        records = list(self._window.records())
+        if records and self._ahead:
+            u, y = records[-1]
+            records[-1] = Record(np.vstack([u, self._ahead]), y)
+        surplus = sum(len(r.u) for r in records) - self._sized.T
+        if surplus > 0 and records:
+            records[0] = Record(records[0].u[surplus:], records[0].y[surplus:])
+        if self._sized.base.form == "incremental":
+            records = [Record(np.diff(u, axis=0), np.diff(y, axis=0)) for u, y in records if len(y) > 1]
+        return tuple(records)
+
+
+class _Stream:
+    """The newest window's data matrix, squared or factored, followed sample by sample.
+
+    Starts with the Gram matrix, which is fastest; goes over to the orthogonal factor for good once rounding comes near
+    the weakest direction kept, or from the start if the regression needs it.
+    """
+
+    def __init__(self, sized: Sized, scale: tuple[Array, Array]) -> None:
+        self._sized, self._scale = sized, scale
+        self._layout = lay_out(sized)
+        self._width = scale[0].size + scale[1].size
+        spent = sized.base.form == "incremental"
+        self._columns = sized.T - spent - sized.rows_u + 1
+        self._last: Array | None = None
+        self._matrix: SlidingGram | SlidingFactor = self._make(
+            SlidingFactor if sized.base.predictor == "causal" else SlidingGram
+        )
+
+    def _make(self, kind: type[SlidingGram] | type[SlidingFactor]) -> SlidingGram | SlidingFactor:
+        return kind(self._width, self._sized.rows_u, self._columns)
+
+    def refill(self, records: tuple[Record, ...]) -> None:
+        """Starts from the newest of the records in the window."""
+        self.cut()
+        for u, y in zip(*records[-1], strict=True):
+            self.push(u, y)
+
+    def refine(self, records: tuple[Record, ...]) -> bool:
+        """Goes over to the orthogonal factor; says whether that changed anything."""
+        if isinstance(self._matrix, SlidingFactor):
+            return False
+        self._matrix = self._make(SlidingFactor)
+        self.refill(records)
+        return True
+
+    def push(self, u: Array, y: Array) -> None:
+        """Takes a sample."""
+        w = np.concatenate([u / self._scale[0], y / self._scale[1]])
+        if self._sized.base.form == "incremental":
+            w, self._last, before = w, w, self._last
+            if before is None:
+                return
+            w = w - before
+        self._matrix.push(w)
+
+    def cut(self) -> None:
+        """The next sample starts a new record."""
+        self._matrix.clear()
+        self._last = None
+
+    def predictor(self) -> Predictor | None:
+        """The predictor for scaled channels; None while the record does not fill the window.
+
+        Raises:
+            PoorDataError: if the window determines none.
+        """
+        if not self._matrix.full:
+            return None
+        cut = truncation(self._sized, noise_norm(self._sized, self._scale[1], self._columns))
+        rows = self._layout.timed
+        if isinstance(self._matrix, SlidingGram):
+            with_noise = self._sized.base.noise_block != "off"
+            return fit_gram(self._matrix.matrix[np.ix_(rows, rows)], self._layout, self._columns, cut, with_noise)
+        regress = fit_causal if self._sized.base.predictor == "causal" else fit
+        return regress(self._matrix.factor().T[rows], self._layout, self._columns, cut)

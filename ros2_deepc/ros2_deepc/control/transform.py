@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Predictors in other coordinates: the units of the plant, and absolute values from increments."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ros2_deepc.behavior.hankel import Array
+
+from .predictor import Predictor
+from .settings import Sized
+
+
+def unscale(predictor: Predictor, u_scale: Array, y_scale: Array, sized: Sized) -> Predictor:
+    """The predictor in the units of the channels.
+
+    Args:
+        predictor: for channels divided by their scale.
+        u_scale: of inputs and disturbances, shape (m + disturbances,).
+        y_scale: of outputs, shape (p,).
+        sized: settings.
+    """
+    base, m = sized.base, sized.m
+    future = np.tile(y_scale, base.L)[:, None]
+    known = np.concatenate(
+        [np.tile(u_scale[:m], base.N + base.s - 1), np.tile(u_scale[m:], sized.rows_u), np.tile(y_scale, base.N)]
+    )
+    return replace(
+        predictor,
+        G=future * predictor.G / np.tile(u_scale[:m], base.L),
+        F=future * predictor.F / known,
+        noise=future * predictor.noise,
+        state=future * predictor.state,
+    )
+
+
+def accumulate(predictor: Predictor, sized: Sized) -> Predictor:
+    """Absolute predictions from a predictor of increments: offset-free under constant disturbances.
+
+    The increments du(k) = u(k) - u(k-1), dy likewise, follow the same linear dynamics as u and y without any constant.
+    With w over N + 1 instead of N past samples, y_f = y(k) + sums of predicted increments.
+
+    Args:
+        predictor: of increments, in the units of the channels.
+        sized: settings.
+    """
+    base, m, nd, p = sized.base, sized.m, sized.base.disturbances, sized.p
+    N, L, s, rows_u = base.N, base.L, base.s, sized.rows_u
+    sums = np.kron(np.tril(np.ones((L, L))), np.eye(p))
+    known, all_d = N + s, rows_u + 1  # instants of absolute inputs and disturbances that a step knows
+    steps = np.kron(np.eye(L) - np.eye(L, k=-1), np.eye(m))  # plan to increments, but for the first one's reference
+    differences = np.zeros((predictor.F.shape[1], m * known + nd * all_d + p * (N + 1)))
+    row = column = 0
+    for count, width in ((known, m), (all_d, nd), (N + 1, p)):
+        block = np.kron(np.eye(count - 1, count, k=1) - np.eye(count - 1, count), np.eye(width))
+        differences[row : row + block.shape[0], column : column + block.shape[1]] = block
+        row, column = row + block.shape[0], column + block.shape[1]
+    F = predictor.F @ differences
+    F[:, m * (known - 1) : m * known] -= predictor.G[:, :m]
+    F = sums @ F
+    F[:, -p:] += np.tile(np.eye(p), (L, 1))
+    return replace(
+        predictor, G=sums @ predictor.G @ steps, F=F, noise=sums @ predictor.noise, state=sums @ predictor.state
+    )
