@@ -55,4 +55,4 @@ def test_values_that_do_not_fit_are_named_in_one_line(given, hint):
 def test_markdown_has_a_row_for_each():
     text = markdown(TABLE)
     assert text.count("\n") == len(TABLE) + 1
-    assert "| `count` | `3` | how many [samples]. Range 1..10. |" in text
+    assert "| `count` | `3` | how many [samples]; 1 to 10 |" in text

@@ -51,7 +51,7 @@ class Param:
     def text(self) -> str:
         """Description with unit and choices, for descriptors and documentation."""
         unit = f" [{self.unit}]" if self.unit else ""
-        choices = f" ({' | '.join(self.choices)})" if self.choices else ""
+        choices = f"; one of {', '.join(self.choices)}" if self.choices else ""
         return f"{self.description}{unit}{choices}"
 
     def complaint(self, value: Any) -> str:
@@ -69,6 +69,14 @@ class Param:
         if kind in (int, float) and not all(low <= v <= high for v in values):
             return f"{self.name} = {value!r} is out of range {low}..{high}: {self.text()}"
         return ""
+
+    def range(self) -> str:
+        """The allowed range as text; empty if there is none."""
+        if self.low is None and self.high is None:
+            return ""
+        if self.high is None:
+            return f"; at least {self.low}"
+        return f"; {self.low} to {self.high}" if self.low is not None else f"; at most {self.high}"
 
     def descriptor(self) -> ParameterDescriptor:
         """The ROS descriptor; rclpy then refuses values out of range by itself."""
@@ -126,6 +134,5 @@ def markdown(table: Iterable[Param]) -> str:
     """The table as Markdown, for the documentation."""
     lines = ["| parameter | default | meaning |", "|---|---|---|"]
     for row in table:
-        bounds = "" if row.low is None and row.high is None else f" Range {row.low}..{row.high}."
-        lines.append(f"| `{row.name}` | `{row.default}` | {row.text()}.{bounds} |")
+        lines.append(f"| `{row.name}` | `{row.default}` | {row.text()}{row.range()} |")
     return "\n".join(lines)
