@@ -13,7 +13,7 @@ if [ ! -e "$venv/.ready" ]; then
 fi
 . "$venv/bin/activate"
 export AMENT_PREFIX_PATH="$VIRTUAL_ENV" CMAKE_PREFIX_PATH="$VIRTUAL_ENV"
-colcon --log-base build/colcon-log build --build-base build/colcon --install-base build/colcon-install \
+colcon --log-base build/colcon-log build --base-paths msgs plant_sim ros2_deepc --build-base build/colcon --install-base build/colcon-install \
     --event-handlers console_cohesion- \
     --cmake-args -DCMAKE_PROJECT_deepc_msgs_INCLUDE="$PWD/packaging/ros_wheels.cmake" -DBUILD_TESTING=OFF
 . build/colcon-install/setup.sh

@@ -26,4 +26,4 @@ done
 "$python" -c 'import ensurepip, venv' 2>/dev/null ||
     fail "$python cannot make virtual environments: install its venv module (Debian: apt install python3-venv)"
 echo "Setting up $venv (once; about 200 MB of wheels and a minute or two)"
-"$python" -m venv "$venv" || fail "could not make the virtual environment $venv"
+{ "$python" -m venv "$venv" && touch "$venv/COLCON_IGNORE"; } || fail "could not make the virtual environment $venv"
