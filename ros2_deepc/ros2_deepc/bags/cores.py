@@ -27,7 +27,7 @@ class ControllerCore:
 
     def __init__(self, agent: Agent, message: Callable[[Agent, Decision], Any]) -> None:
         self._agent, self._message = agent, message
-        self._started = False
+        self._started, self._next = False, 0
 
     def reference(self, k: int, values: Array) -> list[Answer]:
         """Takes a reference; the first one that holds at 0 starts the run."""
@@ -42,9 +42,10 @@ class ControllerCore:
         return []
 
     def outputs(self, k: int, values: Array, held: int) -> list[Answer]:  # noqa: ARG002
-        """Decides as the node did."""
-        if not self._started:
+        """Decides as the node did; after a gap in the recorded outputs nobody can know what it did."""
+        if not self._started or k != self._next:
             return []
+        self._next += 1
         decision = self._agent.step(k, values)
         state = self._message(self._agent, decision)
         self._agent.prepare()

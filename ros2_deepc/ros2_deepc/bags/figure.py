@@ -141,7 +141,7 @@ def _verdicts(axis: Axes, run: Run, x: Array) -> None:
             left, right = start[a], ends[b - 1]
             edge = RULE if look.fill == "#ffffff" else look.fill
             axis.barh(row, right - left, left=left, height=0.8, color=look.fill, edgecolor=edge, linewidth=0.8)
-            words = _verdict_words(look.word, reports.lambda_star[b - 1, row], VERDICTS[verdict])
+            words = verdict_words(look.word, reports.lambda_star[b - 1, row], VERDICTS[verdict])
             room = (right - left) / (x[-1] + 1 - x[0]) / 0.0095
             words = words if room > len(words) else look.word if room > len(look.word) else ""
             axis.text((left + right) / 2, row, words, color=look.text, fontsize=9, ha="center", va="center_baseline")
@@ -156,7 +156,8 @@ def _verdicts(axis: Axes, run: Run, x: Array) -> None:
     axis.spines[["left", "bottom"]].set_visible(False)
 
 
-def _verdict_words(word: str, star: complex, verdict: str) -> str:
+def verdict_words(word: str, star: complex, verdict: str) -> str:
+    """The word of a verdict, with the mode at fault where one was found."""
     if verdict != "NOT_PROVED" or np.isnan(star):
         return word
     imaginary = f"{star.imag:+.3f}i" if abs(star.imag) > 5e-4 else ""

@@ -1,0 +1,205 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded run gives the same answers again, to the bit; what differs is named with its sample, field and size."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+from deepc_msgs.msg import MonitorReport
+
+from ros2_deepc.bags import BagError, BagReader, BagWriter, load_run
+from ros2_deepc.bags.compare import first_difference, same
+from ros2_deepc.bags.convert import from_cdr, to_cdr
+from ros2_deepc.monitors import Prior
+from ros2_deepc.monitors.live import LiveMonitor
+from ros2_deepc.nodes.controller_node import make_agent, state_message
+from ros2_deepc.nodes.monitor_node import report_message
+from ros2_deepc.replaying import recompute
+
+PARAMETERS = {
+    "controller": {"N": 3, "L": 5, "Q": [4.0], "R": [0.5], "terminal": "equilibrium", "seed": 11},
+    "monitor": {"period": 10, "window": 60},
+}
+K = 80
+
+
+def closed_loop(make):
+    """The messages of a run of a small plant under the real controller and monitors, in the order of their causes."""
+    info = make.plant_info()
+    agent = make_agent(PARAMETERS["controller"], info)
+    monitor = PARAMETERS["monitor"]
+    live = LiveMonitor(Prior(q=2, s=1, n=2), window=monitor["window"], period=monitor["period"])
+    A, B = np.array([[0.9, 0.1], [0.0, 0.8]]), np.array([[0.3, 0.0], [0.1, 0.5]])
+    messages = [
+        ("plant_info", info),
+        ("reference", make.sample(50, [0.3, 0.2])),
+        ("reference", make.sample(0, [0.5, 0.4])),
+    ]
+    agent.references.set(0, [0.5, 0.4])
+    agent.references.set(50, [0.3, 0.2])
+    x, u = np.array([1.0, -1.0]), agent.start()[0]
+    messages.append(("inputs", make.sample(0, u)))
+    reports = live.input(0, u)
+    for k in range(K):
+        messages.append(("outputs", make.sample(k, x)))
+        reports = reports + live.output(k, x)
+        decision = agent.step(k, x)
+        state = state_message(agent, decision)
+        agent.prepare()
+        messages += [("inputs", make.sample(k + 1, decision.u)), ("controller/state", state)]
+        messages += [("monitor/report", report_message(report)) for report in reports]
+        x, u = A @ x + B @ u, decision.u
+        reports = live.input(k + 1, u)
+    return messages
+
+
+@pytest.fixture(scope="module")
+def loop(make):
+    return closed_loop(make)
+
+
+def write(make, folder, messages, parameters=PARAMETERS):
+    tree = {f"/**/{role}": {"ros__parameters": values} for role, values in parameters.items()}
+    make.write_bag(folder, messages, metadata={"parameters": yaml.safe_dump(tree)})
+    return folder
+
+
+def test_the_same_again(make, loop, tmp_path):
+    bag = write(make, tmp_path / "bag", loop)
+    result = recompute(bag)
+    assert result.same, result.differences
+    assert result.compared == {"inputs": K + 1, "controller/state": K, "monitor/report": K // 10}
+    assert result.loop_hash == load_run(bag).loop_hash
+    assert (load_run(bag).mode == 2).sum() > 30  # the controller was in control for a good part of it
+
+
+def test_the_same_in_another_process(make, loop, tmp_path):
+    bag = write(make, tmp_path / "bag", loop)
+    code = f"from ros2_deepc.replaying import recompute; r = recompute({str(bag)!r}); print(r.same, r.loop_hash)"
+    out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
+    assert out == ["True", load_run(bag).loop_hash]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_one_flipped_bit_in_an_input_is_caught_at_that_sample(make, loop, tmp_path, seed):
+    rng = np.random.Generator(np.random.PCG64(seed))
+    k, channel, bit = int(rng.integers(K)), int(rng.integers(2)), int(rng.integers(64))
+    write(make, tmp_path / "good", loop)
+    with BagWriter(tmp_path / "bad", metadata=BagReader(tmp_path / "good").metadata["ros2_deepc"]) as bad:
+        for raw in BagReader(tmp_path / "good").messages():
+            bad.add_topic(raw.topic, raw.type)
+            data = raw.data
+            if raw.topic == "/grid/inputs" and (message := from_cdr(data, raw.type)).k == k:
+                values = np.array(message.values)
+                values.view(np.uint64)[channel] ^= np.uint64(1 << bit)
+                message.values = values.tolist()
+                data = to_cdr(message)
+            bad.write(raw.topic, data, raw.log_time, raw.publish_time)
+    result = recompute(tmp_path / "bad", "controller")
+    assert not result.same
+    assert len(result.differences) == 1
+    found = result.differences[0]
+    assert (found.topic, found.k, found.field) == ("inputs", k, f"values[{channel}]")
+    assert str(found).startswith(f"inputs of epoch 0 k = {k}: values[{channel}] was")
+
+
+@pytest.mark.parametrize(("role", "name", "value", "topics"), [
+    ("controller", "R", [0.5000001], {"inputs", "controller/state"}),
+    ("controller", "seed", 12, {"inputs", "controller/state"}),
+    ("monitor", "window", 55, {"monitor/report"}),
+])  # fmt: skip
+def test_other_settings_differ(make, loop, tmp_path, role, name, value, topics):
+    bag = write(make, tmp_path / "bag", loop)
+    changed = {r: dict(v) for r, v in PARAMETERS.items()}
+    changed[role][name] = value
+    result = recompute(bag, parameters=changed)
+    assert {d.topic for d in result.differences} == topics
+    if (
+        role == "controller"
+    ):  # excitation is the same with another weight: the first difference is the first optimised input
+        first = next(d for d in result.differences if d.topic == "inputs")
+        modes = load_run(bag).mode
+        assert first.k == (0 if name == "seed" else int(np.flatnonzero(modes == 2)[0]) + 1)
+        assert 0 < first.by < 2
+
+
+def test_a_missing_answer_is_not_the_same(make, loop, tmp_path):
+    messages = [m for m in loop if not (m[0] == "controller/state" and m[1].k == 20)]
+    result = recompute(write(make, tmp_path / "bag", messages))
+    assert result.unmatched == {"inputs": 0, "controller/state": 1, "monitor/report": 0}
+    assert not result.same
+
+
+def test_an_invented_answer_is_not_the_same(make, loop, tmp_path):
+    result = recompute(write(make, tmp_path / "bag", [*loop, ("monitor/report", MonitorReport(k=7))]))
+    assert result.unmatched["monitor/report"] == 1
+    assert not result.same
+
+
+def test_a_cut_recording_is_the_same_as_far_as_it_goes(make, loop, tmp_path):
+    result = recompute(write(make, tmp_path / "bag", loop[: len(loop) // 2]))
+    assert result.same, (result.unmatched, result.differences)
+
+
+def test_the_order_of_the_first_messages_does_not_matter(make, loop, tmp_path):
+    """A recorder may see the references after the first samples."""
+    info, *references = loop[:3]
+    assert [name for name, _ in references] == ["reference", "reference"]
+    result = recompute(write(make, tmp_path / "bag", [info, *loop[3:5], *references, *loop[5:]]))
+    assert result.same, (result.unmatched, result.differences)
+
+
+def test_after_a_gap_in_the_outputs_nothing_is_claimed(make, loop, tmp_path):
+    messages = [m for m in loop if not (m[0] == "outputs" and m[1].k == 20)]
+    result = recompute(write(make, tmp_path / "bag", messages), "controller")
+    assert not result.same
+    assert not result.differences
+    assert result.compared == {"inputs": 21, "controller/state": 20}
+    assert result.unmatched == {"inputs": K - 20, "controller/state": K - 20}
+
+
+def test_two_epochs_are_two_runs(make, loop, tmp_path):
+    second = []
+    for name, message in closed_loop(make):
+        message.epoch = 1
+        second.append((name, message))
+    bag = write(make, tmp_path / "bag", [*loop, *second])
+    result = recompute(bag)
+    assert result.same, (result.unmatched, result.differences)
+    assert result.compared["inputs"] == 2 * (K + 1)
+    assert result.loop_hash == load_run(bag).loop_hash
+
+
+def test_parameters_are_needed(make, loop, tmp_path):
+    make.write_bag(tmp_path / "bag", loop)
+    with pytest.raises(BagError, match="give a YAML file"):
+        recompute(tmp_path / "bag")
+    with pytest.raises(BagError, match="choose one of controller, monitor, all"):
+        recompute(tmp_path / "bag", "everything", parameters=PARAMETERS)
+    tree = {f"/**/{role}": {"ros__parameters": values} for role, values in PARAMETERS.items()}
+    (tmp_path / "parameters.yaml").write_text(yaml.safe_dump(tree))
+    assert recompute(tmp_path / "bag").same
+
+
+def test_progress_ends_at_the_total(make, loop, tmp_path):
+    seen = []
+    recompute(write(make, tmp_path / "bag", loop), progress=lambda done, total: seen.append((done, total)))
+    assert seen[0] == (0, len(loop))
+    assert seen[-1] == (len(loop), len(loop))
+
+
+def test_comparison_is_to_the_bit():
+    assert same(float("nan"), float("nan"))
+    assert not same(0.0, -0.0)
+    assert not same(1.0, np.nextafter(1.0, 2))
+    was = SimpleNamespace(a=1, b=SimpleNamespace(c=[SimpleNamespace(d="x")]), e=np.array([1.0, 2.0]))
+    now = SimpleNamespace(a=1, b=SimpleNamespace(c=[SimpleNamespace(d="y")]), e=np.array([1.0, 3.0]))
+    assert first_difference(was, now) == ("b.c[0].d", "x", "y")
+    assert first_difference(was, now, {"b"}) == ("e[1]", 2.0, 3.0)
+    assert first_difference(was, was) is None
+    assert first_difference(was, SimpleNamespace(a=1)) is not None
+    assert first_difference(np.zeros(2), np.zeros(3)) == ("[]", "2 values", "3 values")

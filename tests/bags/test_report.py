@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+"""The HTML report: self-contained, well formed, and its numbers are those of the run."""
+
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from deepc_msgs.msg import ControllerState
+
+from ros2_deepc.bags import BagError, load_run
+from ros2_deepc.bags.panels import events, page_data
+from ros2_deepc.bags.report import write_report
+
+VOID = {"meta", "link", "br"}
+
+
+class Page(HTMLParser):
+    """Text of a page by tag; fails on tags that do not nest."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.text, self.links = [], "", []
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag, attrs):
+        self.links += [v for k, v in attrs if k in ("src", "href")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data if self.open and self.open[-1] not in ("style",) else ""
+
+
+@pytest.fixture
+def faulty(make, tmp_path):
+    """A run with everything in it: modes, failures, a missing input, and names that must be escaped."""
+    u, y, ref = make.simulate(120, 2, 60)
+    messages = make.run_messages(u, y, ref, 60)
+    for name, message in messages:
+        if name == "plant_info":
+            message.output_names = ["a<b>", "x & </script> y"]
+        if name == "controller/state" and message.k >= 110:
+            message.mode, message.failures = ControllerState.FALLBACK, message.k - 109
+    messages = [m for m in messages if not (m[0] == "inputs" and m[1].k == 70)]
+    make.write_bag(
+        tmp_path / "bag", messages, metadata={"seed": "2", "parameters": "/**/plant: {ros__parameters: {n: 3}}"}
+    )
+    return tmp_path / "bag"
+
+
+def test_page_is_well_formed_and_alone(faulty, tmp_path):
+    write_report(faulty, tmp_path / "r.html")
+    text = (tmp_path / "r.html").read_text()
+    page = Page(text)
+    assert page.links == ["data:,"]
+    assert not re.search(r"https?://|url\(|import\(|fetch\(", text)
+    for words in (
+        "bench · two", "a<b>", "x & </script> y", "not proved", "mode fallback", "optimisation failed, 1 in all",
+        "input not recorded", "reference changes", "one mode is out of reach",
+    ):  # fmt: skip
+        assert words in page.text, words
+    assert "samples missing: 1 before epoch 0 k = 71" in page.text
+    assert load_run(faulty).loop_hash in page.text
+
+
+def test_data_in_the_page_is_the_run(faulty, tmp_path):
+    write_report(faulty, tmp_path / "r.html")
+    text = (tmp_path / "r.html").read_text()
+    data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)[1])
+    run = load_run(faulty)
+    assert data == json.loads(json.dumps(page_data(run)))
+    y = next(line for line in data["panels"][0]["lines"] if line["name"] == "a<b>")
+    np.testing.assert_allclose(y["y"], run.y[:, 0], rtol=1e-6, atol=1e-12)
+    inputs = next(p for p in data["panels"] if p["title"].startswith("inputs"))
+    assert inputs["lines"][0]["y"][70] is None
+    assert inputs["limits"] == [-1, 1]
+    strips = next(p for p in data["panels"] if "strips" in p)["strips"]
+    assert [s["name"] for s in strips] == ["mode", "R-ctrl.", "C-ctrl.", "R-obs.", "C-obs."]
+    assert strips[0]["parts"][-1][2] == "FALLBACK"
+
+
+def test_events_are_in_order_and_where_they_happened(faulty):
+    found = events(load_run(faulty))
+    assert [k for _, k, _, _ in found] == sorted(k for _, k, _, _ in found)
+    assert (0, 60, pytest.approx(6.0), "mode controlling") in found
+    assert (0, 90, pytest.approx(9.0), "reference changes") in found
+    assert (0, 70, pytest.approx(7.0), "input not recorded") in found
+    assert (0, 110, pytest.approx(11.0), "mode fallback") in found
+
+
+def test_damage_is_said_in_the_report(record, tmp_path):
+    bag = record(K=200)
+    (bag.folder / "metadata.yaml").unlink()
+    (bag.folder / "INCOMPLETE").touch()
+    write_report(bag.folder, tmp_path / "r.html")
+    assert "the recording was not closed" in (tmp_path / "r.html").read_text()
+
+
+def test_monitor_only_has_a_report(make, tmp_path):
+    make.write_bag(tmp_path / "bag", [("outputs", make.sample(k, [1.0])) for k in range(5)])
+    write_report(tmp_path / "bag", tmp_path / "r.html")
+    Page((tmp_path / "r.html").read_text())
+
+
+def test_folder_that_is_not_there(record, tmp_path):
+    with pytest.raises(BagError, match="cannot write"):
+        write_report(record(K=20, collect=10).folder, tmp_path / "none" / "r.html")
+
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine")
+def test_browser_draws_it_without_a_word_on_the_console(faulty, tmp_path):
+    write_report(faulty, tmp_path / "r.html")
+    command = [
+        CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom",
+        f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=2000", f"file://{tmp_path / 'r.html'}",
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100)
+    assert "CONSOLE" not in done.stderr
+    assert done.stdout.count("<canvas") == len(page_data(load_run(faulty))["panels"])
