@@ -17,4 +17,5 @@ colcon --log-base build/colcon-log build --base-paths msgs plant_sim ros2_deepc 
     --event-handlers console_cohesion- \
     --cmake-args -DCMAKE_PROJECT_deepc_msgs_INCLUDE="$PWD/packaging/ros_wheels.cmake" -DBUILD_TESTING=OFF
 . build/colcon-install/setup.sh
-ros2-deepc demo wscc9 --steps 120 --out build/colcon-run
+rm -rf build/colcon-run
+build/colcon-install/ros2_deepc/lib/ros2_deepc/ros2-deepc demo wscc9 --steps 120 --processes --out build/colcon-run

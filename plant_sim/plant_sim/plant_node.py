@@ -217,3 +217,7 @@ class PlantNode(ManagedNode):
 def main() -> int:
     """Console script: runs the plant node."""
     return run_node(PlantNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -223,3 +223,7 @@ def _fill(msg: ControllerState, result: StepResult) -> None:
 def main() -> int:
     """Console script: runs the controller node."""
     return run_node(ControllerNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

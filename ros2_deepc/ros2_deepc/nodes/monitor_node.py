@@ -164,3 +164,7 @@ def report_message(live: LiveReport) -> MonitorReport:
 def main() -> int:
     """Console script: runs the monitor node."""
     return run_node(MonitorNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

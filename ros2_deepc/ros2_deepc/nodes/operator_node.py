@@ -74,3 +74,7 @@ class OperatorNode(ManagedNode):
 def main() -> int:
     """Console script: runs the operator node."""
     return run_node(OperatorNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -103,3 +103,7 @@ class RecorderNode(ManagedNode):
 def main() -> int:
     """Console script: runs the recorder node."""
     return run_node(RecorderNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -133,7 +133,7 @@ class _InProcess:
 
 
 class _Processes:
-    """Nodes in processes of their own, started from the installed console scripts; each logs to a file."""
+    """Nodes in processes of their own; each logs to a file."""
 
     def __init__(
         self, roles: Sequence[str], arguments: list[str], executor: str, domain_id: int | None, logs: Path
@@ -145,9 +145,9 @@ class _Processes:
         self._children: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self) -> None:
-        folder = Path(sys.executable).parent
         for role in self._roles:
-            command = [str(folder / f"ros2-deepc-{role}"), "--executor", self._executor, *self._arguments]
+            module = node_class(role).__module__
+            command = [sys.executable, "-m", module, "--executor", self._executor, *self._arguments]
             with self._log(role).open("wb") as log:
                 self._children[role] = subprocess.Popen(command, env=self._env, stdout=log, stderr=log)
 
