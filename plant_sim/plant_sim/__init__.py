@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plants: descriptor systems, their canonical form, and the networks."""
 
+from .describe import describe
 from .descriptor import DescriptorSystem
 from .errors import InconsistentStateError, NotRegularError, PlantError, ShapeError, UnclearStructureError
 from .plant import Plant, StructurePrior
@@ -19,6 +20,7 @@ __all__ = [
     "ShapeError",
     "StructurePrior",
     "UnclearStructureError",
+    "describe",
     "net3",
     "random_system",
     "wscc9",

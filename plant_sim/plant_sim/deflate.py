@@ -10,7 +10,9 @@ it returns is the exact split of a pencil within rounding of the given one (Van 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
+from scipy.linalg import lapack
 
 from .arrays import Array
 from .errors import NotRegularError
@@ -69,22 +71,52 @@ def equilibrate(E: Array, A: Array, sweeps: int = 3) -> tuple[Array, Array]:
     return rows, cols
 
 
-def _null_space(E: Array, tolerance: float, norm: float) -> tuple[Array, RankDecision]:
-    """Orthogonal V with E V = [0, E'], null space first, and the decision. Exact zero columns need no arithmetic."""
-    size = len(E)
-    live = np.flatnonzero(E.any(axis=0))
-    dead = np.flatnonzero(~E.any(axis=0))
-    live_rows = np.flatnonzero(E.any(axis=1))
-    V = np.zeros((size, size))
-    V[dead, np.arange(len(dead))] = 1.0
+@dataclass(frozen=True, slots=True, eq=False)
+class _Columns:
+    """An orthogonal change of columns: the ``still`` ones first, untouched, then ``moved`` @ ``W``."""
+
+    still: NDArray[np.intp]
+    moved: NDArray[np.intp]
+    W: Array
+
+    def apply(self, X: Array) -> Array:
+        return np.hstack([X[:, self.still], X[:, self.moved] @ self.W])
+
+
+def _null_space(E: Array, tolerance: float, norm: float) -> tuple[_Columns, RankDecision]:
+    """Columns V with E V = [0, E'], null space first, and the decision; zero rows and columns need no arithmetic."""
+    nonzero = E != 0
+    columns, rows = nonzero.any(axis=0), np.flatnonzero(nonzero.any(axis=1))
+    dead, live = np.flatnonzero(~columns), np.flatnonzero(columns)
     if not len(live):
-        return V, RankDecision(size=size, rank=0, kept=np.inf, dropped=0.0, tolerance=tolerance)
-    _, sigma, Wt = linalg.svd(E[np.ix_(live_rows, live)])
+        none = _Columns(dead, live, np.empty((0, 0)))
+        return none, RankDecision(size=len(E), rank=0, kept=np.inf, dropped=0.0, tolerance=tolerance)
+    _, sigma, Wt = linalg.svd(E[np.ix_(rows, live)])
     rank = int((sigma > tolerance * norm).sum())
-    V[np.ix_(live, np.arange(len(dead), size))] = Wt[::-1].T
-    dropped = float(sigma[rank] / norm) if rank < len(sigma) else 0.0
-    kept = float(sigma[rank - 1] / norm) if rank else np.inf
-    return V, RankDecision(size=size, rank=rank, kept=kept, dropped=dropped, tolerance=tolerance)
+    return _Columns(dead, live, Wt[::-1].T), RankDecision(
+        size=len(E),
+        rank=rank,
+        kept=float(sigma[rank - 1] / norm) if rank else np.inf,
+        dropped=float(sigma[rank] / norm) if rank < len(sigma) else 0.0,
+        tolerance=tolerance,
+    )
+
+
+def _compress(block: Array, norm: float, tolerance: float) -> tuple[Array, Array]:
+    """QR factors of a block that must have full column rank: Q of shape (k, k), R of shape (columns, columns).
+
+    Raises:
+        NotRegularError: if it has not; then the null vectors of E and A meet.
+    """
+    Q, R = linalg.qr(block)
+    R = R[: block.shape[1]]
+    weakest = float(lapack.dtrcon(R)[0]) * float(linalg.norm(R, 1)) / norm if norm > 0 else 0.0
+    if not weakest > tolerance:
+        raise NotRegularError(
+            f"the pencil zE - A is singular: det(zE - A) vanishes for every z after a relative change of {weakest:.1e} "
+            "of A (an unknown is missing from the equations, or an equation is repeated)"
+        )
+    return np.asarray(Q, dtype=np.float64), np.asarray(R, dtype=np.float64)
 
 
 def deflate(E: Array, A: Array, tolerance: float | None = None) -> Deflation:
@@ -93,8 +125,8 @@ def deflate(E: Array, A: Array, tolerance: float | None = None) -> Deflation:
     Args:
         E: shape (n, n).
         A: shape (n, n).
-        tolerance: a singular value of the equilibrated E (or a part of it) counts as zero up to tolerance * norm(E);
-            default 100 n eps.
+        tolerance: singular values of the equilibrated E, and of its parts, count as zero up to this fraction of its
+            Frobenius norm; default 100 n eps.
 
     Raises:
         NotRegularError: if det(zE - A) = 0 for all z, up to a perturbation of size tolerance.
@@ -103,26 +135,23 @@ def deflate(E: Array, A: Array, tolerance: float | None = None) -> Deflation:
     tolerance = 100 * n * EPS if tolerance is None else tolerance
     rows, cols = equilibrate(E, A)
     E, A = E * rows[:, None] * cols, A * rows[:, None] * cols
+    norm_E, norm_A = float(linalg.norm(E)) or 1.0, float(linalg.norm(A))
     U, V = np.eye(n), np.eye(n)
-    norm_E, norm_A = float(linalg.norm(E, 2)) if E.any() else 1.0, float(linalg.norm(A, 2))
     start, stages, decisions = 0, [], []
     while start < n:
-        W, decision = _null_space(E[start:, start:], tolerance, norm_E)
+        columns, decision = _null_space(E[start:, start:], tolerance, norm_E)
         decisions.append(decision)
         nullity = decision.size - decision.rank
         if nullity == 0:
             break
         stop = start + nullity
-        E[:, start:], A[:, start:], V[:, start:] = E[:, start:] @ W, A[:, start:] @ W, V[:, start:] @ W
-        Q, R = linalg.qr(A[start:, start:stop])
-        weakest = float(linalg.svd(R[:nullity], compute_uv=False)[-1]) / max(norm_A, 1e-300)
-        if weakest <= tolerance:
-            raise NotRegularError(
-                f"the pencil zE - A is singular: det(zE - A) vanishes for every z after a relative "
-                f"change of {weakest:.1e} of A (an unknown is missing from the equations, or an equation is repeated)"
-            )
-        E[start:], A[start:], U[:, start:] = Q.T @ E[start:], Q.T @ A[start:], U[:, start:] @ Q
-        E[start:, start:stop], A[start:, start:stop] = 0.0, np.triu(R)
+        for X in (E, A, V):
+            X[:, start:] = columns.apply(X[:, start:])
+        Q, R = _compress(A[start:, start:stop], norm_A, tolerance)
+        E[start:, stop:], A[start:, stop:] = Q.T @ E[start:, stop:], Q.T @ A[start:, stop:]
+        E[start:, start:stop], A[start:, start:stop] = 0.0, 0.0
+        A[start:stop, start:stop] = np.triu(R)
+        U[:, start:] = U[:, start:] @ Q if start else Q
         stages.append(nullity)
         start = stop
     return Deflation(

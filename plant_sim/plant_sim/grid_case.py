@@ -120,8 +120,8 @@ def load_case(source: str | Path | Mapping[str, Any] | Any, name: str | None = N
     """Reads a case.
 
     Args:
-        source: a MATPOWER .m file, a .json file or dictionary with baseMVA, bus, gen and branch (pypower's tables), or a
-            pandapower net.
+        source: a MATPOWER .m file, a .json file or dictionary with baseMVA, bus, gen and branch (pypower's tables), or
+            a pandapower net.
         name: short name; by default the file's.
 
     Raises:
@@ -150,8 +150,8 @@ def load_case(source: str | Path | Mapping[str, Any] | Any, name: str | None = N
     )
     dead = _islands_without(len(buses), branches, len(rating))
     if dead:
-        names = ", ".join(str(buses[i]) for i in dead[:10]) + (", ..." if len(dead) > 10 else "")
-        raise PlantError(f"no machine reaches {len(dead)} buses: {names}; remove them or give them type 4")
+        names = ", ".join(str(buses[i]) for i in dead[:8])
+        raise PlantError(f"no machine reaches {len(dead)} buses ({names}): remove them or give them type 4")
     return GridCase(
         name=name or "grid",
         buses=tuple(buses),

@@ -48,6 +48,7 @@ class Plant:
         settings: suggested controller settings (N, L, T, Q, R, terminal).
         steps: suggested length of a run.
         begin: makes a running plant from a random generator.
+        state_names: n names of the states of ``system``; empty if they have none.
         notes: what was assumed or left out when the plant was made from a file.
     """
 
@@ -68,6 +69,7 @@ class Plant:
     settings: Mapping[str, Any]
     steps: int
     begin: Callable[[np.random.Generator], Stepper]
+    state_names: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -81,6 +83,8 @@ class Plant:
             raise ShapeError(
                 f"the system has {self.system.m} inputs and {self.system.p} outputs, the names are for {m} and {p}"
             )
+        if self.system is not None and len(self.state_names) not in (0, self.system.n):
+            raise ShapeError(f"the system has {self.system.n} states, got {len(self.state_names)} names")
         put(self, "input_min", matrix(self.input_min, "input_min", (m,)))
         put(self, "input_max", matrix(self.input_max, "input_max", (m,)))
         if not (self.input_min < self.input_max).all():

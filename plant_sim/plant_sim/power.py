@@ -36,6 +36,10 @@ _WSCC9 = {
 }
 
 
+def _state_names(buses: Sequence[int], machines: int) -> tuple[str, ...]:
+    return (*(f"omega_{b}" for b in buses[:machines]), *(f"theta_{b}" for b in buses))
+
+
 def wscc9(variant: str = "transfers") -> Plant:
     """The paper's first case: the WSCC 9-bus grid with 3 machines, 0.1 s, published weights.
 
@@ -79,6 +83,7 @@ def wscc9(variant: str = "transfers") -> Plant:
         settings={"N": 6, "L": 14, "T": 104, "Q": list(Q), "R": [1.0, 1.0, 1.0], "terminal": "none"},
         steps=200,
         begin=linear_start(system, lambda rng: np.concatenate([5.0 * rng.random(6), np.zeros(6)])),
+        state_names=_state_names(range(1, 10), 3),
     )
 
 
@@ -176,4 +181,5 @@ def from_case(
         settings=suggested_settings(system),
         steps=200,
         begin=linear_start(system, lambda _: np.zeros(system.n)),
+        state_names=_state_names(grid.buses, g),
     )

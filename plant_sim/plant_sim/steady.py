@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import linalg
-from scipy.optimize import linprog
 
 from .arrays import Array, frozen, matrix
 from .descriptor import DescriptorSystem
@@ -36,6 +35,8 @@ class SteadyStates:
 
     def _solve(self, cost: Array, rows: Array, bound: Array) -> tuple[int, Array]:
         """Minimises cost' (v, t) subject to the limits and rows (v, t) <= bound; returns HiGHS's status and (v, t)."""
+        from scipy.optimize import linprog  # a quarter of a second that importing a plant should not cost
+
         extra = len(cost) - self.U.shape[1]
         limits = np.hstack([np.vstack([self.U, -self.U]), np.zeros((2 * len(self.u0), extra))])
         A = np.vstack([limits, rows])
@@ -51,12 +52,12 @@ class SteadyStates:
         """
         ends = np.empty((2, len(self.y0)))
         nothing = np.empty((0, self.U.shape[1])), np.empty(0)
+        if self._solve(np.zeros(self.U.shape[1]), *nothing)[0] != 0:
+            raise PlantError("no steady state respects the input limits")
         for i, direction in enumerate(self.Y):
             for side, sign in enumerate((1.0, -1.0)):
-                status, v = self._solve(sign * direction, *nothing)
-                if status == 2:
-                    raise PlantError("no steady state respects the input limits")
-                ends[side, i] = -sign * np.inf if status == 3 else self.y0[i] + direction @ v
+                status, v = self._solve(sign * direction, *nothing)  # feasible, so what fails is unbounded
+                ends[side, i] = -sign * np.inf if status != 0 else self.y0[i] + direction @ v
         return ends[0], ends[1]
 
     def nearest(self, y_ref: ArrayLike) -> tuple[Array, Array, float]:
@@ -110,6 +111,7 @@ def steady_states(
     values = np.concatenate([np.zeros(q), kept.T @ z10])
     start = np.linalg.lstsq(equations, values, rcond=max(floor, 1e-12))[0] if q else np.zeros(m)
     free = linalg.null_space(equations, rcond=max(floor, 1e-12)) if q else np.eye(m)
+    free[np.abs(free) < 1e-12] = 0.0  # rounding would look like a weak input to the linear programs
     gain = np.hstack([form.C1, form.markov().sum(axis=0)])
     return SteadyStates(
         u0=frozen(start[q:]), U=frozen(free[q:]), y0=frozen(gain @ start), Y=frozen(gain @ free),

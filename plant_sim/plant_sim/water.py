@@ -252,6 +252,7 @@ def from_inp(
         settings=suggested_settings(system),
         steps=200,
         begin=linear_start(system, lambda _: np.zeros(system.n)),
+        state_names=model.names,
         notes=_notes(model, network),
     )
 
@@ -309,5 +310,6 @@ def net3(hour: int = 5, inputs: str = "junction") -> Plant:
         settings={"N": 5, "L": 12, "T": 100, "Q": [5.0, 5.0], "R": [1.0, 1.0, 1.0], "terminal": "equilibrium"},
         steps=200,
         begin=linear_start(system, lambda _: start),
+        state_names=model.names,
         notes=_notes(model, network),
     )

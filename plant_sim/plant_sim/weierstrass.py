@@ -33,8 +33,8 @@ class Weierstrass:
         B2: shape (r, m).
         C2: shape (p, r).
         D: shape (p, m).
-        residuals: largest entries of |S E P - diag(I, N)| and of |S A P - diag(A1, I)|.
         decisions: the rank decisions behind r and s.
+        pencil: (E, A).
     """
 
     q: int
@@ -49,8 +49,16 @@ class Weierstrass:
     B2: Array
     C2: Array
     D: Array
-    residuals: tuple[float, float]
     decisions: tuple[RankDecision, ...]
+    pencil: tuple[Array, Array]
+
+    @property
+    def residuals(self) -> tuple[float, float]:
+        """Largest entries of |S E P - diag(I, N)| and of |S A P - diag(A1, I)|."""
+        E, A = self.pencil
+        targets = linalg.block_diag(np.eye(self.q), self.N), linalg.block_diag(self.A1, np.eye(self.r))
+        first, second = (self.S @ M @ self.P - target for M, target in zip((E, A), targets, strict=True))
+        return float(np.abs(first).max(initial=0.0)), float(np.abs(second).max(initial=0.0))
 
     def markov(self) -> Array:
         """P_i with y(k) = C1 z1(k) + sum_i P_i u(k+i): P_0 = D - C2 B2, P_i = -C2 N^i B2; shape (s, p, m)."""
@@ -135,15 +143,11 @@ def weierstrass(E: Array, A: Array, B: Array, C: Array, D: Array, deflation: Def
     P = np.hstack([slow, fast])
     A1: Array = S[:q] @ A @ slow
     N = _nilpotent(deflation.A[:r, :r], deflation.E[:r, :r], R2)
-    target_E, target_A = linalg.block_diag(np.eye(q), N), linalg.block_diag(A1, np.eye(r))
     SB, CP = S @ B, C @ P
     return Weierstrass(
         q=q, r=r, s=max(1, len(deflation.stages)),
         S=frozen(S), P=frozen(P), A1=frozen(A1), N=frozen(N), D=D,
         B1=frozen(SB[:q]), B2=frozen(SB[q:]), C1=frozen(CP[:, :q]), C2=frozen(CP[:, q:]),
-        residuals=(
-            float(np.abs(S @ E @ P - target_E).max(initial=0.0)),
-            float(np.abs(S @ A @ P - target_A).max(initial=0.0)),
-        ),
+        pencil=(E, A),
         decisions=deflation.decisions,
     )  # fmt: skip
