@@ -204,12 +204,15 @@ def bag_files(path: Path) -> list[Path]:
         raise BagError(f"no bag at {path}")
     try:
         text = (path / METADATA).read_text(encoding="utf-8")
-        names = yaml.safe_load(text)["rosbag2_bagfile_information"]["relative_file_paths"]
-        files = [path / name for name in names]
+        info = yaml.safe_load(text)["rosbag2_bagfile_information"]
+        files = [path / name for name in info["relative_file_paths"]]
+        mode = str(info.get("compression_mode") or "").lower()
     except FileNotFoundError:
-        files = sorted(path.glob("*.mcap"), key=_number)
+        files, mode = sorted(path.glob("*.mcap"), key=_number), ""
     except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError) as error:
         raise BagError(f"cannot read {path / METADATA}: {why(error)}; remove it to read the files alone") from error
+    if mode in ("file", "message"):
+        raise BagError(f"bag {path} is compressed by {mode}: convert it first (ros2 bag convert)")
     missing = [f.name for f in files if not f.is_file()]
     if missing or not files:
         raise BagError(f"bag {path} has no file {missing[0] if missing else '*.mcap'}")
