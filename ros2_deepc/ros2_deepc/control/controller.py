@@ -211,7 +211,7 @@ class DeepcController:
         else:
             self._plan = (self._instant, plan)
             status = Status.SECOND_SOLVER if plan.second else Status.SOLVED
-        wanted = plan.u[0] if self._dither is None else plan.u[0] + self._dither
+        wanted = plan.u[0] + self._dither()
         u = self._limiter.apply(wanted, self._last)
         self._answer, self._due = u, self._data.moves
         return StepResult(
@@ -239,17 +239,12 @@ class DeepcController:
         self._due = False
         self._prepare_time = perf_counter() - begin
 
-    @property
-    def _dither(self) -> Array | None:
-        """White noise that keeps the data rich, or None where none is wanted."""
-        base, amplitude = self._sized.base, self._sized.dither
-        if (
-            base.data_policy == "fixed"
-            or not amplitude.any()
-            or (base.data_policy == "guarded" and not self._data.weak)
-        ):
-            return None
-        return self._rng.uniform(-amplitude, amplitude)
+    def _dither(self) -> Array | float:
+        """White noise that keeps the data rich, where it is wanted."""
+        if not self._data.moves or (self._sized.base.data_policy == "guarded" and not self._data.weak):
+            return 0.0
+        amplitude = self._sized.dither
+        return self._rng.uniform(-amplitude, amplitude) if amplitude.any() else 0.0
 
     def _reference(self, y_ref: ArrayLike) -> Array:
         """The reference over the plan, shape (L, p)."""

@@ -20,6 +20,7 @@ class Limiter:
 
     def __init__(self, u_min: Array, u_max: Array, du_max: Array) -> None:
         self.u_min, self.u_max, self.du_max = u_min, u_max, du_max
+        self._slow = bool(np.isfinite(du_max).any())
 
     def apply(self, u: Array, last: Array | None) -> Array:
         """The admissible input nearest to u in each channel.
@@ -28,8 +29,10 @@ class Limiter:
             u: wanted input, shape (m,); a NaN means "no wish" and holds the last input.
             last: input one sample before, or None if there was none.
         """
-        held = np.clip(0.0, self.u_min, self.u_max) if last is None else last
-        u = np.where(np.isnan(u), held, u)
-        if last is not None:
-            u = np.clip(u, last - self.du_max, last + self.du_max)
-        return np.clip(u, self.u_min, self.u_max)
+        if not np.isfinite(u).all():
+            held = np.minimum(np.maximum(0.0, self.u_min), self.u_max) if last is None else last
+            u = np.where(np.isnan(u), held, u)
+        if self._slow and last is not None:
+            u = np.minimum(np.maximum(u, last - self.du_max), last + self.du_max)
+        limited: Array = np.minimum(np.maximum(u, self.u_min), self.u_max)
+        return limited

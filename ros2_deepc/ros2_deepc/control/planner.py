@@ -9,11 +9,11 @@ import numpy as np
 from ros2_deepc.behavior.hankel import Array
 
 from .predictor import Predictor
-from .problem import Condensed, condense
+from .problem import Condensed, Template, condense
 from .qp import CheckedSolver, Daqp
 from .settings import Sized
 
-FEASIBLE = 1e-6  # a terminal condition missed by less than this, relative to the outputs' size, holds
+FEASIBLE = 1e-6  # a terminal condition missed by less than this, relative to the signals' size, holds
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +40,42 @@ class Plan:
     unmet: Array
 
 
+class _Branch:
+    """One program with its solvers.
+
+    Args:
+        template: what the program owes to the settings.
+        solver: name of the solver to try first.
+    """
+
+    def __init__(self, template: Template, solver: str) -> None:
+        self.template, self.solver = template, CheckedSolver(solver)
+        self.program: Condensed | None = None
+
+    def load(self, predictor: Predictor) -> Condensed:
+        self.program = condense(self.template, predictor)
+        self.solver.load(self.program.H, self.program.A)
+        return self.program
+
+    def plan(self, w: Array, r: Array, unmet: Array) -> tuple[Plan | None, str]:
+        program = self.program
+        assert program is not None  # load comes first
+        f = program.f0 + program.f_w @ w + program.f_goal @ r
+        lower, upper = program.lower, program.upper
+        if program.A.shape[0]:
+            move = program.A_w @ w + program.A_goal @ r
+            lower, upper = lower.copy(), upper.copy()
+            lower[f.size :] -= move
+            upper[f.size :] -= move
+        answer, which, remark = self.solver.solve(f, lower, upper)
+        if answer is None:
+            return None, remark
+        m, p = self.template.sized.m, self.template.sized.p
+        u = (program.inputs @ answer.x).reshape(-1, m)
+        y = (program.outputs @ answer.x + program.outputs_w @ w).reshape(-1, p)
+        return Plan(u, y, which > 0, self.solver.solvers[which].name, answer.iterations, remark, unmet), remark
+
+
 class Planner:
     """Solves the program of one predictor after another.
 
@@ -51,65 +87,58 @@ class Planner:
         self._sized = sized
         base, m = sized.base, sized.m
         known = base.past + base.s - 1
-        self._last_input = slice(m * (known - 1), m * known)
-        self._solver = CheckedSolver(base.solver)
-        self._relaxed_solver = CheckedSolver(base.solver)
-        self._program: Condensed | None = None
-        self._relaxed: Condensed | None = None
+        last_input = slice(m * (known - 1), m * known)
+        size = m * known + base.disturbances * (known + base.L) + sized.p * base.past
+        self._main = _Branch(Template(sized, size, last_input, base.terminal), base.solver)
+        self._relaxed: _Branch | None = None
+        if base.terminal == "hard":
+            self._relaxed = _Branch(Template(sized, size, last_input, base.terminal, relaxed=True), base.solver)
         self._tests: list[_Reach] = []
+        self._nothing = np.zeros(sized.p)
 
     @property
     def loaded(self) -> bool:
         """Whether there is a predictor to plan with."""
-        return self._program is not None
+        return self._main.program is not None
 
     def load(self, predictor: Predictor) -> None:
         """Takes a new predictor; everything that does not need the newest sample is worked out here."""
-        terminal = self._sized.base.terminal
-        self._program = condense(predictor, self._sized, self._last_input, terminal)
-        self._solver.load(self._program.H, self._program.A)
-        if terminal == "hard":
-            self._relaxed = condense(predictor, self._sized, self._last_input, terminal, relaxed=True)
-            self._relaxed_solver.load(self._relaxed.H, self._relaxed.A)
-            every = [np.arange(self._sized.p)] + [np.array([i]) for i in range(self._sized.p)]
-            self._tests = [_Reach(self._relaxed, self._sized, outputs) for outputs in every]
+        self._main.load(predictor)
+        if self._relaxed is not None:
+            program, p = self._relaxed.load(predictor), self._sized.p
+            every = [np.arange(p)] + [np.array([i]) for i in range(p)]
+            self._tests = [_Reach(program, self._sized, outputs) for outputs in every]
 
     def plan(self, w: Array, goal: Array) -> tuple[Plan | None, str]:
-        """Plans from w = [known inputs; past outputs] towards the reference trajectory goal (L, p).
+        """Plans from w = [known inputs; disturbances; past outputs] towards the reference trajectory goal (L, p).
 
         Returns:
             The plan, and a remark; no plan if no solver found one that passes the check.
         """
-        program, solver = self._program, self._solver
-        assert program is not None  # load comes first
-        theta = np.concatenate([w, goal.ravel()])
-        unmet = np.zeros(self._sized.p)
-        if self._sized.base.terminal == "hard":
-            unmet = self._unmet(theta)
-            if unmet.any() and self._relaxed is not None:
-                program, solver = self._relaxed, self._relaxed_solver
-        f = program.f0 + program.f_theta @ theta
-        move = np.concatenate([np.zeros(f.size), program.shift @ theta])
-        answer, which, remark = solver.solve(f, program.lower - move, program.upper - move)
-        if answer is None:
-            return None, remark
-        u = (program.inputs @ answer.x).reshape(-1, self._sized.m)
-        y = (program.outputs @ answer.x + program.outputs_theta @ theta).reshape(-1, self._sized.p)
-        if unmet.any():
-            shares = ", ".join(f"{v:.3g}" for v in unmet)
-            said = f"(6.1c) cannot hold: missed by at least ({shares}); planned with a penalty instead"
-            remark = f"{said}; {remark}" if remark else said
-        return Plan(u, y, which > 0, solver.solvers[which].name, answer.iterations, remark, unmet), remark
+        r = goal.ravel()
+        if self._relaxed is None:
+            return self._main.plan(w, r, self._nothing)
+        unmet = self._unmet(w, r)
+        if not unmet.any():
+            return self._main.plan(w, r, unmet)
+        plan, remark = self._relaxed.plan(w, r, unmet)
+        shares = ", ".join(f"{v:.3g}" for v in unmet)
+        said = f"(6.1c) cannot hold: missed by at least ({shares}); planned with a penalty instead"
+        said = f"{said}; {remark}" if remark else said
+        if plan is None:
+            return None, said
+        return Plan(plan.u, plan.y, plan.second, plan.solver, plan.iterations, said, unmet), said
 
-    def _unmet(self, theta: Array) -> Array:
+    def _unmet(self, w: Array, r: Array) -> Array:
         """Zero if (6.1c) can hold, else the least each output must miss it by."""
-        tolerance = FEASIBLE * max(1.0, float(np.abs(theta).max()))
-        if self._tests[0].smallest(theta) <= tolerance:
-            return np.zeros(self._sized.p)
-        alone = np.array([test.smallest(theta) for test in self._tests[1:]])
+        tolerance = FEASIBLE * max(1.0, float(np.abs(w).max()), float(np.abs(r).max()))
+        together = self._tests[0].smallest(w, r)
+        if together <= tolerance:
+            return self._nothing
+        alone = np.array([test.smallest(w, r) for test in self._tests[1:]])
         alone[alone <= tolerance] = 0.0
         if not alone.any():  # each can hold, but not all together
-            alone[:] = self._tests[0].smallest(theta)
+            alone[:] = together
         return np.where(self._sized.mask > 0, alone, 0.0)
 
 
@@ -117,7 +146,7 @@ class _Reach:
     """Smallest t with |y - y_ref| <= t over the terminal steps, for some of the outputs, inputs within their limits.
 
     Args:
-        program: the relaxed program, for its maps and its box.
+        program: the relaxed program, for its maps and its limits.
         sized: settings.
         outputs: which outputs, indices.
     """
@@ -125,27 +154,23 @@ class _Reach:
     RIDGE = 1e-9
 
     def __init__(self, program: Condensed, sized: Sized, outputs: Array) -> None:
-        p, L, free = sized.p, sized.base.L, program.inputs.shape[1]
-        n = program.inputs.shape[1]
+        p, L, n = sized.p, sized.base.L, program.inputs.shape[1]
         steps = np.arange(L - sized.base.tail, L)
         part = (steps[:, None] * p + outputs[sized.mask[outputs] > 0]).ravel()
-        C, D = program.outputs[part], program.outputs_theta[part].copy()
-        known = D.shape[1] - p * L
-        D[np.arange(part.size), known + part] -= 1.0
-        one = np.ones((part.size, 1))
-        self._limits = program.A.shape[0]
-        t = np.zeros((self._limits, 1))
-        self._A = np.vstack([np.hstack([program.A, t]), np.hstack([C, one]), np.hstack([C, -one])])
-        self._shift = np.vstack([program.shift, D, D])
+        C, D, E = program.outputs[part], program.outputs_w[part], -np.eye(p * L)[part]
+        one, none = np.ones((part.size, 1)), np.zeros((program.A.shape[0], 1))
+        A = np.vstack([np.hstack([program.A, none]), np.hstack([C, one]), np.hstack([C, -one])])
+        self._A_w = np.vstack([program.A_w, D, D])
+        self._A_goal = np.vstack([program.A_goal, E, E])
         far, zero = np.full(part.size, np.inf), np.zeros(part.size)
         self._lower = np.concatenate([program.lower[:n], [0.0], program.lower[n:], zero, -far])
         self._upper = np.concatenate([program.upper[:n], [np.inf], program.upper[n:], far, zero])
-        self._n = free + 1
+        self._n = n + 1
         self._solver = Daqp()
-        self._solver.load(np.diag(np.append(np.full(free, self.RIDGE), 1.0)), self._A)
+        self._solver.load(np.diag(np.append(np.full(n, self.RIDGE), 1.0)), A)
 
-    def smallest(self, theta: Array) -> float:
+    def smallest(self, w: Array, r: Array) -> float:
         """The smallest t; infinity if the limits themselves cannot be met."""
-        move = np.concatenate([np.zeros(self._n), self._shift @ theta])
+        move = np.concatenate([np.zeros(self._n), self._A_w @ w + self._A_goal @ r])
         answer = self._solver.solve(np.zeros(self._n), self._lower - move, self._upper - move)
         return float(answer.x[-1]) if answer.solved else np.inf

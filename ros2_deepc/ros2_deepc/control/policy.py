@@ -11,7 +11,7 @@ from .data import Snapshot, noise_norm, truncation
 from .layout import lay_out
 from .predictor import PoorDataError, Predictor, fit, fit_causal, fit_gram
 from .settings import Sized
-from .transform import accumulate, unscale
+from .transform import Units, accumulate, unscale
 
 
 class RunData:
@@ -36,6 +36,7 @@ class RunData:
         self._stream: _Stream | None = None
         self._adopted: Predictor | None = None
         self._strength = (0.0, 0.0)
+        self._units: Units | None = None
         self.weak = ""
 
     @property
@@ -136,7 +137,9 @@ class RunData:
 
     def _in_units(self, predictor: Predictor) -> Predictor:
         assert self._first is not None
-        in_units = unscale(predictor, *self._first.scale, self._sized)
+        if self._units is None:
+            self._units = Units.of(*self._first.scale, self._sized)
+        in_units = unscale(predictor, self._units)
         return accumulate(in_units, self._sized) if self._sized.base.form == "incremental" else in_units
 
     def _records(self) -> tuple[Record, ...]:
@@ -164,6 +167,8 @@ class _Stream:
         self._sized, self._scale = sized, scale
         self._layout = lay_out(sized)
         self._width = scale[0].size + scale[1].size
+        rows = self._layout.timed
+        self._places = rows[:, None] * (self._width * sized.rows_u) + rows  # flat places of the grouped Gram matrix
         spent = sized.base.form == "incremental"
         self._columns = sized.T - spent - sized.rows_u + 1
         self._last: Array | None = None
@@ -215,6 +220,7 @@ class _Stream:
         rows = self._layout.timed
         if isinstance(self._matrix, SlidingGram):
             with_noise = self._sized.base.noise_block != "off"
-            return fit_gram(self._matrix.matrix[np.ix_(rows, rows)], self._layout, self._columns, cut, with_noise)
+            S = self._matrix.matrix.ravel()[self._places]
+            return fit_gram(S, self._layout, self._columns, cut, with_noise)
         regress = fit_causal if self._sized.base.predictor == "causal" else fit
         return regress(self._matrix.factor().T[rows], self._layout, self._columns, cut)

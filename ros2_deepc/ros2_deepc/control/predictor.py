@@ -12,7 +12,7 @@ this is (6.1b).
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dtrtri
+from scipy.linalg.lapack import dpotrf, dsyevd, dtrtri
 
 from ros2_deepc.behavior.hankel import Array
 
@@ -134,7 +134,7 @@ def fit_gram(S: Array, layout: Layout, columns: int, cut: Truncation, noise_bloc
     inverse = _inverse(L11, rounding)
     below = S[nu:, :nu] @ inverse.T
     M = S[nu:, nu:] - below @ below.T
-    squares, V = np.linalg.eigh(M[:nc, :nc])
+    squares, V, _ = dsyevd(M[:nc, :nc])
     sv, V = np.sqrt(np.maximum(squares[::-1], 0.0)), V[:, ::-1]
     kept = cut.keep(sv, rounding)
     to_future = (M[nc:, :nc] @ V[:, :kept]) / sv[:kept] ** 2
@@ -243,5 +243,5 @@ def _assemble(
         gap=weakest / following if following > 0 else np.inf,
         input_strength=1.0 / (float(np.linalg.norm(inverse)) * root),
         state_strength=weakest / root,
-        precise=weakest > 1e3 * rounding,
+        precise=weakest > 1e2 * rounding,
     )

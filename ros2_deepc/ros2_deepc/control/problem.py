@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The optimal control problem (6.1) on the behaviour, condensed to a small dense quadratic program.
 
-Unknowns are the planned inputs, and slacks if outputs are limited. What does not change from one sample to the next is
-worked out once per predictor; a step needs two matrix-vector products.
+Unknowns are the planned inputs, and slacks if outputs are limited. What depends on the settings alone is worked out
+once (a `Template`), what depends on the predictor once per predictor (`condense`); a step needs a few matrix-vector
+products.
 """
 
 from dataclasses import dataclass
@@ -22,93 +23,125 @@ THIN = 1e-7  # terminal rows weaker than this against the strongest cannot be me
 
 @dataclass(frozen=True, slots=True)
 class Condensed:
-    """min x'Hx/2 + f'x subject to lower <= [I; A] x <= upper, affine in theta = [w; reference trajectory].
+    """min x'Hx/2 + f'x subject to lower <= [I; A] x <= upper.
+
+    f and the bounds are affine in what a step knows: w = [known inputs; disturbances; past outputs] and the reference
+    trajectory, both as vectors.
 
     Attributes:
         H: shape (n, n).
         A: shape (rows, n).
         f0: constant part of f, shape (n,).
-        f_theta: f = f0 + f_theta theta, shape (n, size of theta).
-        lower: bounds at theta = 0, shape (n + rows,).
+        f_w: f = f0 + f_w w + f_goal goal, shape (n, size of w).
+        f_goal: shape (n, pL).
+        lower: bounds at w = 0 and goal = 0, shape (n + rows,).
         upper: likewise.
-        shift: the bounds of A's rows move by -shift theta, shape (rows, size of theta).
+        A_w: the bounds of A's rows move by -(A_w w + A_goal goal), shape (rows, size of w).
+        A_goal: shape (rows, pL).
         inputs: u_plan = inputs x, shape (mL, n).
-        outputs: y_plan = outputs x + outputs_theta theta, shape (pL, n).
-        outputs_theta: shape (pL, size of theta).
-        beyond: beyond theta is what no input can do about a hard terminal condition, shape (any, size of theta).
+        outputs: y_plan = outputs x + outputs_w w, shape (pL, n).
+        outputs_w: shape (pL, size of w).
     """
 
     H: Array
     A: Array
     f0: Array
-    f_theta: Array
+    f_w: Array
+    f_goal: Array
     lower: Array
     upper: Array
-    shift: Array
+    A_w: Array
+    A_goal: Array
     inputs: Array
     outputs: Array
-    outputs_theta: Array
-    beyond: Array
+    outputs_w: Array
 
 
-def condense(
-    predictor: Predictor, sized: Sized, last_input: slice, terminal: Terminal, relaxed: bool = False
-) -> Condensed:
-    """Builds the program for a predictor.
+class Template:
+    """What a program owes to the settings alone: unknowns, input costs, input limits.
 
     Args:
-        predictor: y_f = G u_f + F w.
         sized: settings.
-        last_input: where w holds the last input before the plan (for the rate limit).
+        known: size of w.
+        last_input: where w holds the last input before the plan.
         terminal: terminal condition.
         relaxed: for "hard": y = y_ref at the end becomes a penalty, u = 0 stays.
     """
-    m, p, L, known = sized.m, sized.p, sized.base.L, predictor.F.shape[1]
-    block = move_blocking(sized, terminal)
-    limited = np.isfinite(sized.y_min).any() or np.isfinite(sized.y_max).any()
-    n = block.shape[1] + (p if limited else 0)
-    inputs = np.zeros((m * L, n))
-    inputs[:, : block.shape[1]] = block
-    plan = _Plan(
-        inputs=inputs,
-        outputs=predictor.G @ inputs,
-        theta=np.hstack([predictor.F, np.zeros((p * L, p * L))]),
-        goal=np.hstack([np.zeros((p * L, known)), np.eye(p * L)]),
-        free=block.shape[1],
-    )
-    cost, rows = _Cost(n, known + p * L), _Rows(n, known + p * L)
-    beyond = np.zeros((0, known + p * L))
-    weight = stage_weight(predictor, sized)
-    if terminal == "equilibrium":
-        _equilibrium_cost(cost, sized, plan, weight)
-    else:
-        cost.add(plan.outputs, plan.theta - plan.goal, weight)
-        if sized.base.form == "incremental":
-            cost.add(*_moves(sized, plan, last_input), sized.R)
+
+    def __init__(self, sized: Sized, known: int, last_input: slice, terminal: Terminal, relaxed: bool = False) -> None:
+        m, p, L = sized.m, sized.p, sized.base.L
+        self.sized, self.known, self.terminal = sized, known, terminal
+        self.penalised = relaxed or terminal == "soft"
+        self.block = move_blocking(sized, terminal)
+        self.free = self.block.shape[1]
+        self.limited = bool(np.isfinite(sized.y_min).any() or np.isfinite(sized.y_max).any())
+        self.n = n = self.free + (p if self.limited else 0)
+        self.inputs = np.zeros((m * L, n))
+        self.inputs[:, : self.free] = self.block
+        self.lower, self.upper = np.zeros(n), np.full(n, np.inf)
+        self.lower[: self.free] = np.tile(sized.u_min, self.free // m)
+        self.upper[: self.free] = np.tile(sized.u_max, self.free // m)
+        self.cost = _Cost(n, known, p * L)
+        moves, moves_w = self._moves(last_input)
+        if terminal == "equilibrium":
+            steady = self.inputs[-m:]
+            self.cost.add(self.inputs - np.tile(steady, (L, 1)), None, sized.R)
+            self.cost.add(steady, None, TINY * max(float(np.trace(sized.R)) / m, TINY) * np.eye(m))
+        elif sized.base.form == "incremental":
+            self.cost.add(moves, moves_w, sized.R)
         else:
-            cost.add(plan.inputs, None, sized.R)
-    if terminal == "soft" or relaxed:
-        _terminal_penalty(cost, sized, plan)
-    elif terminal == "hard":
-        beyond = _terminal_rows(rows, sized, plan)
-    if np.isfinite(sized.du_max).any():
-        _rate_rows(rows, sized, plan, last_input)
-    if limited:
-        _output_rows(rows, cost, sized, plan)
-    low, high = _box(sized, plan.free, n)
-    A, shift, lower, upper = rows.stacked()
+            self.cost.add(self.inputs, None, sized.R)
+        if self.penalised:
+            self.cost.add(self.inputs[-m * sized.base.tail :], None, sized.base.terminal_weight * sized.R)
+        self.rows = _Rows(n, known, p * L)
+        if np.isfinite(sized.du_max).any():
+            some = (np.abs(moves).sum(axis=1) + np.abs(moves_w).sum(axis=1)) > 0  # blocked moves cannot change
+            limit = np.tile(sized.du_max, L)[some]
+            self.rows.add(moves[some], moves_w[some], None, -limit, limit)
+
+    def _moves(self, last_input: slice) -> tuple[Array, Array]:
+        """Changes of the inputs from one planned sample to the next, C x + D w."""
+        m = self.sized.m
+        C = self.inputs.copy()
+        C[m:] -= self.inputs[:-m]
+        D = np.zeros((C.shape[0], self.known))
+        D[:m, last_input] = -np.eye(m)
+        return C, D
+
+
+def condense(template: Template, predictor: Predictor) -> Condensed:
+    """The program for a predictor."""
+    sized, free = template.sized, template.free
+    outputs = np.zeros((predictor.G.shape[0], template.n))
+    outputs[:, :free] = predictor.G @ template.block if free < predictor.G.shape[1] else predictor.G
+    cost, rows = template.cost.copy(), template.rows.copy()
+    weight = stage_weight(predictor, sized)
+    if template.terminal == "equilibrium":
+        _equilibrium_cost(cost, sized, outputs, predictor.F, weight)
+    else:
+        cost.f_goal -= cost.add(outputs, predictor.F, weight).T
+    if template.penalised:
+        part = slice(-sized.p * sized.base.tail, None)
+        weighted = cost.add(outputs[part], predictor.F[part], sized.base.terminal_weight * masked(sized))
+        cost.f_goal[:, part] -= weighted.T
+    elif template.terminal == "hard":
+        _terminal_rows(rows, sized, outputs, predictor.F)
+    if template.limited:
+        _output_rows(rows, cost, sized, outputs, predictor.F, free)
+    A, A_w, A_goal, lower, upper = rows.stacked()
     return Condensed(
-        H=(cost.H + cost.H.T) / 2,
+        H=cost.H,
         A=A,
         f0=cost.f0,
-        f_theta=cost.f_theta,
-        lower=np.concatenate([low, lower]),
-        upper=np.concatenate([high, upper]),
-        shift=shift,
-        inputs=plan.inputs,
-        outputs=plan.outputs,
-        outputs_theta=plan.theta,
-        beyond=beyond,
+        f_w=cost.f_w,
+        f_goal=cost.f_goal,
+        lower=np.concatenate([template.lower, lower]),
+        upper=np.concatenate([template.upper, upper]),
+        A_w=A_w,
+        A_goal=A_goal,
+        inputs=template.inputs,
+        outputs=outputs,
+        outputs_w=predictor.F,
     )
 
 
@@ -154,125 +187,90 @@ def stage_weight(predictor: Predictor, sized: Sized) -> Array:
     return np.asarray(root @ (np.eye(len(root)) - shrunk) @ root)
 
 
-@dataclass(frozen=True, slots=True)
-class _Plan:
-    """u_plan = inputs x, y_plan = outputs x + theta theta, y_ref = goal theta; the first `free` unknowns are inputs."""
-
-    inputs: Array
-    outputs: Array
-    theta: Array
-    goal: Array
-    free: int
-
-
 class _Cost:
-    """Sum of |C x + D theta|_W^2, W repeated down the rows, and of linear prices."""
+    """Sum of |C x + D w + ...|_W^2, W repeated down the rows, and of linear prices."""
 
-    def __init__(self, n: int, theta: int) -> None:
+    def __init__(self, n: int, known: int, goal: int) -> None:
         self.H = np.zeros((n, n))
         self.f0 = np.zeros(n)
-        self.f_theta = np.zeros((n, theta))
+        self.f_w = np.zeros((n, known))
+        self.f_goal = np.zeros((n, goal))
 
-    def add(self, C: Array, D: Array | None, W: Array) -> None:
-        WC = (W @ C.reshape(-1, W.shape[0], C.shape[1])).reshape(C.shape)
-        self.H += 2 * C.T @ WC
+    def copy(self) -> "_Cost":
+        other = _Cost.__new__(_Cost)
+        other.H, other.f0, other.f_w, other.f_goal = self.H.copy(), self.f0.copy(), self.f_w.copy(), self.f_goal.copy()
+        return other
+
+    def add(self, C: Array, D: Array | None, W: Array) -> Array:
+        """Adds |C x + D w|_W^2; returns 2 W C for whatever else stands in the same square."""
+        twice = 2.0 * (W @ C.reshape(-1, W.shape[0], C.shape[1])).reshape(C.shape)
+        self.H += C.T @ twice
         if D is not None:
-            self.f_theta += 2 * WC.T @ D
+            self.f_w += twice.T @ D
+        return np.asarray(twice)
 
 
 class _Rows:
-    """Rows lower <= C x + D theta <= upper; those without a finite bound are left out."""
+    """Rows lower <= C x + D w + E goal <= upper; those without a finite bound are left out."""
 
-    def __init__(self, n: int, theta: int) -> None:
-        self._C, self._D = [np.zeros((0, n))], [np.zeros((0, theta))]
-        self._low, self._high = [np.zeros(0)], [np.zeros(0)]
+    def __init__(self, n: int, known: int, goal: int) -> None:
+        self._parts = [(np.zeros((0, n)), np.zeros((0, known)), np.zeros((0, goal)), np.zeros(0), np.zeros(0))]
 
-    def add(self, C: Array, D: Array, low: Array, high: Array) -> None:
+    def copy(self) -> "_Rows":
+        other = _Rows.__new__(_Rows)
+        other._parts = list(self._parts)
+        return other
+
+    def add(self, C: Array, D: Array, E: Array | None, low: Array, high: Array) -> None:
         some = np.isfinite(low) | np.isfinite(high)
-        self._C.append(C[some])
-        self._D.append(D[some])
-        self._low.append(low[some])
-        self._high.append(high[some])
+        E = np.zeros((C.shape[0], self._parts[0][2].shape[1])) if E is None else E
+        self._parts.append((C[some], D[some], E[some], low[some], high[some]))
 
-    def stacked(self) -> tuple[Array, Array, Array, Array]:
-        return np.vstack(self._C), np.vstack(self._D), np.concatenate(self._low), np.concatenate(self._high)
+    def stacked(self) -> tuple[Array, Array, Array, Array, Array]:
+        if len(self._parts) == 1:
+            return self._parts[0]
+        C, D, E, low, high = zip(*self._parts, strict=True)
+        return np.vstack(C), np.vstack(D), np.vstack(E), np.concatenate(low), np.concatenate(high)
 
 
-def _equilibrium_cost(cost: _Cost, sized: Sized, plan: _Plan, weight: Array) -> None:
+def _equilibrium_cost(cost: _Cost, sized: Sized, outputs: Array, F: Array, weight: Array) -> None:
     """Stage cost against the plan's own end (u_s, y_s), distance of y_s from the reference, and rest over the tail.
 
     y_s and u_s are the last predicted output and the last planned input, not further unknowns: at rest the two
     readings coincide, and the program stays a pure box problem of which both solvers make short work. A reference
-    that can be held is held exactly, since every term vanishes there.
+    that can be held is held exactly, since every term vanishes there. A previewed reference is followed relative to its
+    end.
     """
-    m, p, L, tail = sized.m, sized.p, sized.base.L, sized.base.tail
+    p, L, tail = sized.p, sized.base.L, sized.base.tail
     Q = masked(sized)
-    y_s, y_s_theta = plan.outputs[-p:], plan.theta[-p:]
-    end = plan.goal[-p:]
-    off = plan.outputs - np.tile(y_s, (L, 1))
-    off_theta = plan.theta - np.tile(y_s_theta, (L, 1))
-    shape = plan.goal - np.tile(end, (L, 1))  # a previewed reference is followed relative to its end
-    cost.add(off, off_theta - shape, weight)
-    cost.add(plan.inputs - np.tile(plan.inputs[-m:], (L, 1)), None, sized.R)
-    cost.add(y_s, y_s_theta - end, sized.base.offset_weight * Q)
-    cost.add(off[-p * tail :], off_theta[-p * tail :], sized.base.terminal_weight * Q)
-    cost.add(plan.inputs[-m:], None, TINY * max(float(np.trace(sized.R)) / m, TINY) * np.eye(m))
+    off = outputs - np.tile(outputs[-p:], (L, 1))
+    off_w = F - np.tile(F[-p:], (L, 1))
+    weighted = cost.add(off, off_w, weight)
+    cost.f_goal -= weighted.T
+    cost.f_goal[:, -p:] += weighted.T.reshape(-1, L, p).sum(axis=1)
+    cost.f_goal[:, -p:] -= cost.add(outputs[-p:], F[-p:], sized.base.offset_weight * Q).T
+    cost.add(off[-p * tail :], off_w[-p * tail :], sized.base.terminal_weight * Q)
 
 
-def _terminal_penalty(cost: _Cost, sized: Sized, plan: _Plan) -> None:
-    """(6.1c) as a quadratic penalty."""
-    part, weight = slice(-sized.p * sized.base.tail, None), sized.base.terminal_weight
-    cost.add(plan.outputs[part], (plan.theta - plan.goal)[part], weight * masked(sized))
-    cost.add(plan.inputs[-sized.m * sized.base.tail :], None, weight * sized.R)
-
-
-def _terminal_rows(rows: _Rows, sized: Sized, plan: _Plan) -> Array:
-    """The output part of (6.1c) as equality rows, cut down to independent ones (at most the order of the plant).
-
-    Returns:
-        Map from theta to what the dropped rows would still ask for: zero if and only if they agree with the kept ones.
-    """
+def _terminal_rows(rows: _Rows, sized: Sized, outputs: Array, F: Array) -> None:
+    """The output part of (6.1c) as equality rows, cut down to independent ones (at most the order of the plant)."""
     part = np.tile(sized.mask > 0, sized.base.L)
     part[: -sized.p * sized.base.tail] = False
-    C, D = plan.outputs[part], (plan.theta - plan.goal)[part]
-    U, sv, _ = np.linalg.svd(C)
+    goal = -np.eye(part.size)[part]
+    U, sv, _ = np.linalg.svd(outputs[part])
     rank = int(np.count_nonzero(sv > THIN * sv[0])) if sv.size and sv[0] > 0 else 0
-    zero = np.zeros(rank)
-    rows.add(U[:, :rank].T @ C, U[:, :rank].T @ D, zero, zero)
-    return np.asarray(U[:, rank:] @ (U[:, rank:].T @ D))
+    keep, zero = U[:, :rank].T, np.zeros(rank)
+    rows.add(keep @ outputs[part], keep @ F[part], keep @ goal, zero, zero)
 
 
-def _output_rows(rows: _Rows, cost: _Cost, sized: Sized, plan: _Plan) -> None:
+def _output_rows(rows: _Rows, cost: _Cost, sized: Sized, outputs: Array, F: Array, free: int) -> None:
     """y_min - slack <= y(k) <= y_max + slack, one slack per output over the whole plan, with a price that is exact."""
     p, L = sized.p, sized.base.L
-    slack = np.zeros_like(plan.outputs)
-    slack[:, plan.free :] = np.tile(np.eye(p), (L, 1))
-    free = np.full(p * L, np.inf)
-    rows.add(plan.outputs + slack, plan.theta, np.tile(sized.y_min, L), free)
-    rows.add(plan.outputs - slack, plan.theta, -free, np.tile(sized.y_max, L))
+    slack = np.zeros_like(outputs)
+    slack[:, free:] = np.tile(np.eye(p), (L, 1))
+    far = np.full(p * L, np.inf)
+    rows.add(outputs + slack, F, None, np.tile(sized.y_min, L), far)
+    rows.add(outputs - slack, F, None, -far, np.tile(sized.y_max, L))
     price = sized.base.slack_weight * max(float(np.trace(sized.Q)) / p, TINY)
-    cost.f0[plan.free :] = price
-    cost.H[plan.free :, plan.free :] = price * np.eye(p)
-
-
-def _moves(sized: Sized, plan: _Plan, last_input: slice) -> tuple[Array, Array]:
-    """Changes of the inputs from one planned sample to the next, C x + D theta."""
-    m = sized.m
-    C = plan.inputs.copy()
-    C[m:] -= plan.inputs[:-m]
-    D = np.zeros((C.shape[0], plan.theta.shape[1]))
-    D[:m, last_input] = -np.eye(m)
-    return C, D
-
-
-def _rate_rows(rows: _Rows, sized: Sized, plan: _Plan, last_input: slice) -> None:
-    C, D = _moves(sized, plan, last_input)
-    some = (np.abs(C).sum(axis=1) + np.abs(D).sum(axis=1)) > 0  # blocked moves cannot change
-    limit = np.tile(sized.du_max, sized.base.L)[some]
-    rows.add(C[some], D[some], -limit, limit)
-
-
-def _box(sized: Sized, free: int, n: int) -> tuple[Array, Array]:
-    low, high = np.zeros(n), np.full(n, np.inf)
-    low[:free], high[:free] = np.tile(sized.u_min, free // sized.m), np.tile(sized.u_max, free // sized.m)
-    return low, high
+    cost.f0[free:] = price
+    cost.H[free:, free:] = price * np.eye(p)

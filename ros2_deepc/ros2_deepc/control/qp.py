@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Solvers of dense quadratic programs behind one small interface, with every answer checked."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -13,6 +14,13 @@ from scipy.sparse import csc_matrix
 from ros2_deepc.behavior.hankel import Array
 
 INFINITE = 1e30
+OSQP_SETTINGS: dict[str, Any] = {
+    "verbose": False,
+    "eps_abs": 1e-6,
+    "eps_rel": 1e-6,
+    "check_termination": 10,
+    "polishing": False,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,33 +62,26 @@ class Osqp:
     def __init__(self) -> None:
         self._model: Any = None
         self._shape = (-1, -1)
+        self._upper = np.empty(0, dtype=np.intp)
 
     def load(self, H: Array, A: Array) -> None:
         """See `QpSolver.load`; a change of shape sets up anew."""
         n, rows = H.shape[0], A.shape[0]
-        below = np.tril_indices(n)
-        Px = H[below[1], below[0]]  # upper triangle, column by column
-        Ax = np.vstack([np.ones(n), A]).T.ravel()  # column j: one entry of the identity, then column j of A
         if self._shape == (n, rows):
-            self._model.update(Px=Px, Ax=Ax)
+            Px = H.ravel()[self._upper]
+            if rows:
+                self._model.update(Px=Px, Ax=_with_identity(A))
+            else:
+                self._model.update(Px=Px)
             return
-        P = csc_matrix((Px, below[1], np.concatenate([[0], np.cumsum(np.arange(1, n + 1))])), shape=(n, n))
+        row, column = np.tril_indices(n)
+        self._upper = column * n + row  # upper triangle of H, column by column
+        P = csc_matrix((H.ravel()[self._upper], column, np.append(0, np.cumsum(np.arange(1, n + 1)))), shape=(n, n))
         indices = np.hstack([np.arange(n)[:, None], np.tile(n + np.arange(rows), (n, 1))]).ravel()
-        AI = csc_matrix((Ax, indices, (rows + 1) * np.arange(n + 1)), shape=(n + rows, n))
+        AI = csc_matrix((_with_identity(A), indices, (rows + 1) * np.arange(n + 1)), shape=(n + rows, n))
         free = np.full(n + rows, np.inf)
         self._model = osqp.OSQP()
-        self._model.setup(
-            P,
-            np.zeros(n),
-            AI,
-            -free,
-            free,
-            verbose=False,
-            eps_abs=1e-6,
-            eps_rel=1e-6,
-            check_termination=10,
-            polishing=False,
-        )
+        self._model.setup(P, np.zeros(n), AI, -free, free, **OSQP_SETTINGS)
         self._shape = (n, rows)
 
     def solve(self, f: Array, lower: Array, upper: Array) -> Answer:
@@ -127,6 +128,11 @@ class Daqp:
         return Answer(np.array(x), np.array(info["lam"]), flag == 1, int(info["iterations"]), f"exit flag {flag}")
 
 
+def _with_identity(A: Array) -> Array:
+    """Entries of [I; A], column by column: one of the identity, then a column of A."""
+    return np.vstack([np.ones(A.shape[1]), A]).T.ravel()
+
+
 def make_solver(name: str) -> QpSolver:
     """A fresh solver by name, "osqp" or "daqp"."""
     return Osqp() if name == "osqp" else Daqp()
@@ -139,18 +145,26 @@ def fault(answer: Answer, H: Array, f: Array, A: Array, lower: Array, upper: Arr
     """
     if not answer.solved:
         return answer.status
-    x, y = answer.x, answer.y
-    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+    x, y, n = answer.x, answer.y, answer.x.size
+    if not math.isfinite(float(x @ x) + float(y @ y)):
         return "not finite"
-    z = np.concatenate([x, A @ x])
-    excess = float(np.max(np.maximum(lower - z, z - upper), initial=0.0))
-    if excess > tolerance * max(1.0, float(np.abs(z).max(initial=0.0))):
+    if A.shape[0]:
+        z, Ay = np.concatenate([x, A @ x]), y[:n] + A.T @ y[n:]
+    else:
+        z, Ay = x, y
+    excess = float(np.maximum(lower - z, z - upper).max())
+    if excess > tolerance * max(1.0, _largest(z)):
         return f"constraints violated by {excess:.1e}"
-    Hx, Ay = H @ x, y[: x.size] + A.T @ y[x.size :]
-    slope = float(np.abs(Hx + f + Ay).max(initial=0.0))
-    if slope > tolerance * max(1.0, *(float(np.abs(v).max(initial=0.0)) for v in (Hx, f, Ay))):
+    Hx = H @ x
+    slope = _largest(Hx + f + Ay)
+    if slope > tolerance * max(1.0, _largest(f), _largest(Ay), _largest(Hx)):
         return f"not stationary by {slope:.1e}"
     return ""
+
+
+def _largest(v: Array) -> float:
+    """Largest absolute entry."""
+    return float(max(v.max(), -v.min()))
 
 
 class CheckedSolver:

@@ -108,7 +108,7 @@ class StepResult:
     def slack(self) -> Array:
         """Largest violation of the output limits per output, shape (p,)."""
         over = np.maximum(self.sized.y_min - self.y_plan, self.y_plan - self.sized.y_max)
-        return np.maximum(over.max(axis=0), 0.0)
+        return np.asarray(np.maximum(over.max(axis=0), 0.0))
 
     @property
     def feasible(self) -> bool:
@@ -120,6 +120,5 @@ class StepResult:
     def cost(self) -> float:
         """Value of (6.1a) at the plan: the sum of |y - y_ref|_Q^2 + |u|_R^2, the mask applied to Q."""
         e = (self.y_plan - self.goal) * np.sqrt(self.sized.mask)
-        return float(
-            np.einsum("ki,ij,kj", e, self.sized.Q, e) + np.einsum("ki,ij,kj", self.u_plan, self.sized.R, self.u_plan)
-        )
+        u = self.u_plan
+        return float(np.sum((e @ self.sized.Q) * e) + np.sum((u @ self.sized.R) * u))

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Predictors in other coordinates: the units of the plant, and absolute values from increments."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,26 +12,40 @@ from .predictor import Predictor
 from .settings import Sized
 
 
-def unscale(predictor: Predictor, u_scale: Array, y_scale: Array, sized: Sized) -> Predictor:
-    """The predictor in the units of the channels.
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Scales of the rows and columns of a predictor.
 
-    Args:
-        predictor: for channels divided by their scale.
-        u_scale: of inputs and disturbances, shape (m + disturbances,).
-        y_scale: of outputs, shape (p,).
-        sized: settings.
+    Attributes:
+        future: of the predicted outputs, shape (p L, 1).
+        free: of the planned inputs, shape (m L,).
+        known: of what a step knows, shape (size of w,).
     """
-    base, m = sized.base, sized.m
-    future = np.tile(y_scale, base.L)[:, None]
-    known = np.concatenate(
-        [np.tile(u_scale[:m], base.N + base.s - 1), np.tile(u_scale[m:], sized.rows_u), np.tile(y_scale, base.N)]
-    )
+
+    future: Array
+    free: Array
+    known: Array
+
+    @staticmethod
+    def of(u_scale: Array, y_scale: Array, sized: Sized) -> "Units":
+        """From the scales of inputs and disturbances (m + disturbances,) and of outputs (p,)."""
+        base, m = sized.base, sized.m
+        known = (
+            np.tile(u_scale[:m], base.N + base.s - 1),
+            np.tile(u_scale[m:], sized.rows_u),
+            np.tile(y_scale, base.N),
+        )
+        return Units(np.tile(y_scale, base.L)[:, None], np.tile(u_scale[:m], base.L), np.concatenate(known))
+
+
+def unscale(predictor: Predictor, units: Units) -> Predictor:
+    """The predictor in the units of the channels, from one for channels divided by their scales."""
     return replace(
         predictor,
-        G=future * predictor.G / np.tile(u_scale[:m], base.L),
-        F=future * predictor.F / known,
-        noise=future * predictor.noise,
-        state=future * predictor.state,
+        G=units.future * predictor.G / units.free,
+        F=units.future * predictor.F / units.known,
+        noise=units.future * predictor.noise,
+        state=units.future * predictor.state,
     )
 
 
