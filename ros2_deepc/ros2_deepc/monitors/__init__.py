@@ -4,20 +4,30 @@
 
 from .analysis import analyze, analyze_factor, analyze_records
 from .estimate import estimate_structure
+from .indicator import Indicator, indicate
 from .noise import Noise
 from .verdict import Finding, Mode, Printed, Prior, Report, StructureEstimate, Verdict
+from .willems import Lengths, Parameterization, Richness, parameterize, required_length, richness
 
 __all__ = [
     "Finding",
+    "Indicator",
+    "Lengths",
     "Mode",
     "Noise",
+    "Parameterization",
     "Printed",
     "Prior",
     "Report",
+    "Richness",
     "StructureEstimate",
     "Verdict",
     "analyze",
     "analyze_factor",
     "analyze_records",
     "estimate_structure",
+    "indicate",
+    "parameterize",
+    "required_length",
+    "richness",
 ]

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg as sla
 
-from .compress import Array
-from .pencil import Complex, Mask, Pencil, Points
+from .compress import EPS, Array
+from .pencil import Complex, Mask, Pencil, Points, norms
 
 BUDGET = 20000
 """Squares looked at before giving up."""
@@ -25,7 +25,7 @@ _REGULAR = 1.6 * np.exp(2.3j)
 """A lambda at which X(lambda) is hardly ever singular."""
 
 _WIDE = 0.2
-"""Discs wider than this are replaced by the whole sphere: one square in each chart."""
+"""Discs wider than this are replaced by the whole sphere."""
 
 
 class Squares(NamedTuple):
@@ -94,27 +94,37 @@ def candidates(pencil: Pencil, eps: float) -> Squares:
     outer = abs(d1) > abs(d0)
     t = np.where(outer, d0, d1) / np.where(outer, d1, d0)
     half = radius / (1 - radius)  # the divisor covers what lies across the unit circle
-    upper = t.imag + half >= 0  # kappa is symmetric about the real axis, for the data are real
+    upper = np.where(outer, -t.imag, t.imag) + half >= 0  # data are real: kappa is the same at conjugate lambda
     return Squares(Points(t[upper], outer[upper]), half[upper])
 
 
 def _sphere() -> Squares:
-    """One square in each chart, together the whole sphere."""
-    return Squares(Points(np.zeros(2, dtype=np.complex128), np.array([False, True])), np.full(2, 1.0))
+    """Squares that cover all lambda with a positive imaginary part, from both charts; the others are their mirror."""
+    t = np.array([0.5 + 0.5j, -0.5 + 0.5j])
+    return Squares(Points(np.concatenate([t, t.conj()]), np.repeat([False, True], 2)), np.full(4, 0.5))
 
 
 class Curvature:
-    """Bounds of second derivatives of the polynomials in N, from the norms of their coefficients."""
+    """Bounds of second derivatives of the polynomials in N, from the norms of their coefficients.
+
+    Rows of J n are weighed by what the autonomous part shows of each direction: strong ones must not drown weak ones.
+
+    Attributes:
+        rows: the weights' inverse, shape (q, q).
+    """
 
     def __init__(self, pencil: Pencil) -> None:
+        left, size, _ = np.linalg.svd(np.hstack([pencil.X1, pencil.X0]), full_matrices=False)
+        size = np.maximum(size, size[0] * EPS)
+        self.rows = left * size
         zero = np.zeros((1, *pencil.J1.shape[1:]))
-        F = np.concatenate([pencil.J1, zero]) - np.concatenate([zero, pencil.J0])
-        self._F = np.linalg.norm(F, axis=(1, 2))
+        J = np.concatenate([pencil.J1, zero]) - np.concatenate([zero, pencil.J0])
+        self._J = np.linalg.norm(left.T @ J / size[:, None], axis=(1, 2))
         self._M = np.linalg.norm(pencil.M, axis=(1, 2))
 
     def __call__(self, reach: Array, outer: Mask) -> tuple[Array, Array]:
-        """Bounds for |t| <= reach of the second derivatives of J n and of M n, shapes (k,)."""
-        return self._bound(self._F, reach, outer), self._bound(self._M, reach, outer)
+        """Bounds for |t| <= reach of the second derivatives of the weighed J n and of M n, shapes (k,)."""
+        return self._bound(self._J, reach, outer), self._bound(self._M, reach, outer)
 
     @staticmethod
     def _bound(coefficients: Array, reach: Array, outer: Mask) -> Array:
@@ -124,33 +134,36 @@ class Curvature:
 
 
 def _examine(pencil: Pencil, curve: Curvature, todo: Squares, eps: float) -> tuple[Mask, Mask]:
-    """Which squares are proved, and which have a centre with kappa <= eps."""
+    """Which squares are proved, and which have a centre with kappa <= eps.
+
+    Within rho of the centre Q = Q0 + (t - t0) across + rest has a norm of at most `grown`, and
+    N = N0 + (t - t0) rate + rest. With N0 = U S V* and |a| = 1,
+    |a* N| >= |a* U S| (1 - rho |S^-1 U* rate| - |S^-1 U* rest|): all is relative to the size of each direction.
+    """
     at, rho = todo.at, todo.half * np.sqrt(2)
     value = pencil.evaluate(at)
     reach = abs(at.t) + rho
     need = eps * pencil.weight(reach)
-    sigma, slope = _relative_slope(value.N, value.rate)
-    bend_F, bend_M = curve(reach, at.outer)
-    grown = 1 + rho * value.spread + 0.5 * rho**2 * value.inverse * bend_M
-    low = sigma * (1 - rho * slope) - 0.5 * rho**2 * value.inverse * bend_F
-    done = low > need * grown
+    bend_J, bend_M = curve(reach, at.outer)
+    bend = 0.5 * rho**2 * value.inverse * (1 + rho * value.tilt)
+    grown = np.hypot(1, rho * value.across) + rho**2 * value.spread * value.tilt + bend * bend_M
+    sigma, relative = _relative(value.N)
+    loss = rho * norms(relative @ value.rate) + rho**2 * norms(relative @ value.response) * value.tilt
+    loss += bend * norms(relative @ curve.rows) * bend_J
+    done = sigma * (1 - loss) > need * grown
     if not done.all():  # far from every eigenvalue the square part of N alone will do, and needs no curvature
-        rest = np.flatnonzero(~done)
-        part, slope = _relative_slope(value.N[rest][:, :, -pencil.q :], value.rate[rest][:, :, -pencil.q :])
-        done[rest] = part * (1 - rho[rest] * slope) > need[rest]
-    return done, sigma <= eps * pencil.weight(abs(at.t))
+        left = np.flatnonzero(~done)
+        part, relative = _relative(value.N[left][:, :, -pencil.q :])
+        loss = rho[left] * norms(relative @ value.rate[left][:, :, -pencil.q :])
+        done[left] = part * (1 - loss) > need[left]
+    return done, sigma <= eps * pencil.weight(at.t)
 
 
-def _relative_slope(N: Complex, rate: Complex) -> tuple[Array, Array]:
-    """Smallest singular value of N = U S V*, and |S^-1 U* rate|: the rate at which it can shrink, relative to itself.
-
-    For |a| = 1: |a* (N + t rate)| >= |a* U S| (1 - |t| |S^-1 U* rate|). Weak directions are weighed by their own size.
-    """
+def _relative(N: Complex) -> tuple[Array, Complex]:
+    """Smallest singular value of each N = U S V*, and S^-1 U*."""
     left, sigma, _ = np.linalg.svd(N, full_matrices=False)
-    small = sigma[:, -1]
-    safe = np.where(sigma > 0, sigma, 1)
-    slope = np.linalg.norm(left.conj().transpose(0, 2, 1) @ rate / safe[:, :, None], axis=(1, 2))
-    return small, slope  # a zero small makes every bound fail, whatever the slope
+    safe = np.maximum(sigma, np.finfo(np.float64).tiny)  # a zero in sigma fails every bound as it is
+    return sigma[:, -1], left.conj().transpose(0, 2, 1) / safe[:, :, None]
 
 
 def _split(squares: Squares, which: Mask) -> Squares:

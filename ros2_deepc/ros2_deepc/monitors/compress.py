@@ -31,7 +31,7 @@ class Compression:
         L: output block rows of the pencils, one less than in the window.
         columns: columns of the data matrix.
         spread: what white noise of the columns kept amounts to: their number, when all are kept.
-        norm: bound of the spectral norm of the data matrix.
+        norm: Frobenius norm of the data matrix.
     """
 
     R11: Array
@@ -88,16 +88,25 @@ def compress(
         raise ValueError(f"{W.shape[1]} columns cannot excite {kept} input rows: record longer or take a smaller L")
     if instruments:
         Q, factor = np.linalg.qr(W.T)
+        R = factor.T
         edges = np.cumsum(pieces, dtype=int)[:-1]
         spread, last = toeplitz_norm(np.split(Q[:, :kept], edges), L + 1), kept
     else:
-        factor, spread, last = np.asarray(np.linalg.qr(W.T, mode="r")), float(columns), W.shape[0]
-    R = factor.T
+        R, spread, last = triangle(W), float(columns), W.shape[0]
     R11, R21, rest = R[:a, :a], R[kept:, :a], R[kept:, a:last]
     left, sigma, _ = np.linalg.svd(rest, full_matrices=False)
-    norm = min(float(np.linalg.norm(R)), float(np.sqrt(np.linalg.norm(R, 1) * np.linalg.norm(R, np.inf))))
+    norm = float(np.linalg.norm(W))
     inverse = np.asarray(sla.lapack.dtrtri(R11, lower=1)[0]) if excites(R11) else None
     return Compression(R11, R21, inverse, left * sigma, sigma, m, p, L, columns, spread, norm)
+
+
+def triangle(W: Array) -> Array:
+    """Lower triangular factor R of W = R Q, shape (rows, min(rows, columns))."""
+    order = min(W.shape)
+    packed, _, _, info = sla.lapack.dgeqrf(W.T, lwork=64 * max(1, W.shape[0]))
+    if info:
+        raise np.linalg.LinAlgError(f"dgeqrf: argument {-info}")
+    return np.tril(packed[:order].T)
 
 
 def excites(R11: Array) -> bool:

@@ -68,6 +68,7 @@ def indicate(u: ArrayLike, y: ArrayLike, *, prior: Prior, L: int, noise: Noise |
     observe = decibel(float(data.sigma[q - 1]), eps) if q <= data.sigma.size else -np.inf
     pencil = reduce(data, min(seen, q))
     modes = eigenvalues(pencil)
+    modes = modes[modes.imag >= 0]  # conjugates are equally strong
     strength = pencil.singular_values(modes)[:, -1]
     weakest = int(np.argmin(strength))
     control = decibel(float(strength[weakest]), eps + pencil.floor) if seen >= q else -np.inf

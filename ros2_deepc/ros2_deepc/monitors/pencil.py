@@ -51,14 +51,20 @@ class Values(NamedTuple):
 
     Attributes:
         N: shape (k, q, m+q).
-        rate: derivative along t with the normalisation C held, shape (k, q, m+q).
-        spread: norm of the derivative of the normalised input directions, shape (k,).
+        rate: derivative along t, the input directions turning no more than they must, shape (k, q, m+q).
+        response: derivative of J n C^-1 with C held, shape (k, q, m).
+        spread: norm of the derivative of the orthonormal input directions Q = M n C^-1 with C held, shape (k,).
+        tilt: norm of its part within the span of Q, which `rate` takes out, shape (k,).
+        across: norm of its part across, shape (k,).
         inverse: norm of C^-1, shape (k,).
     """
 
     N: Complex
     rate: Complex
+    response: Complex
     spread: Array
+    tilt: Array
+    across: Array
     inverse: Array
 
 
@@ -100,28 +106,40 @@ class Pencil:
         v = t**power
         both = np.concatenate([v, power * t ** np.maximum(power - 1, 0)])  # n and its derivative
         n = _contract(both, self.M)
-        C = np.asarray(np.linalg.qr(n[:k], mode="r"))
+        Q, C = np.linalg.qr(n[:k])
         F1, F0 = _contract(both, self.J1), _contract(both, self.J0)
         c1, c0 = np.where(flip, t, 1)[..., None], np.where(flip, 1, t)[..., None]  # pencil c1 S1 - c0 S0
         own = np.where(flip[..., None], F1[:k], -F0[:k])  # from the derivative of (c1, c0)
-        stack = np.concatenate([c1 * F1[:k] - c0 * F0[:k], c1 * F1[k:] - c0 * F0[k:] + own, n[k:]], axis=1)
         Cinv = np.linalg.inv(C)
-        stack = stack @ Cinv
-        N = np.concatenate([stack[:, :q], c1 * self.X1 - c0 * self.X0], axis=2)
+        stack = np.concatenate([c1 * F1[:k] - c0 * F0[:k], c1 * F1[k:] - c0 * F0[k:] + own, n[k:]], axis=1) @ Cinv
+        value, response, turn = stack[:, :q], stack[:, q : 2 * q], stack[:, 2 * q :]
+        tilt = Q.conj().transpose(0, 2, 1) @ turn
         dX = np.where(flip[..., None], self.X1, -self.X0)
-        rate = np.concatenate([stack[:, q : 2 * q], dX], axis=2)
-        spread, inverse = np.linalg.norm(stack[:, 2 * q :], axis=(1, 2)), np.linalg.norm(Cinv, axis=(1, 2))
-        return Values(N, rate, spread, inverse)
+        return Values(
+            N=np.concatenate([value, c1 * self.X1 - c0 * self.X0], axis=2),
+            rate=np.concatenate([response - value @ tilt, dX], axis=2),
+            response=response,
+            spread=norms(turn),
+            tilt=norms(tilt),
+            across=norms(turn - Q @ tilt),
+            inverse=norms(Cinv),
+        )
 
-    def weight(self, size: Array) -> Array:
-        """Norm of S1 - t S0 for |t| = size: that of a bidiagonal Toeplitz matrix of L rows, at most 1 + |t|."""
+    def weight(self, t: Complex | Array) -> Array:
+        """Norm of S1 - t S0, a bidiagonal Toeplitz matrix of L block rows: at most 1 + |t|, and increasing in |t|."""
+        size = np.abs(t)
         return np.sqrt(1 + size**2 + 2 * self.overlap * size)
 
     def singular_values(self, lam: Complex) -> Array:
         """Singular values of N over the weight at each lambda (inf allowed), shape (k, q), largest first."""
         at = Points.of(lam)
         sigma = np.asarray(np.linalg.svd(self.evaluate(at).N, compute_uv=False))
-        return sigma / self.weight(abs(at.t))[:, None]
+        return sigma / self.weight(at.t)[:, None]
+
+
+def norms(A: Complex) -> Array:
+    """Frobenius norm of each matrix of a stack."""
+    return np.asarray(np.sqrt(np.einsum("kij,kij->k", A.real, A.real) + np.einsum("kij,kij->k", A.imag, A.imag)))
 
 
 def _contract(v: Complex, T: Array) -> Complex:

@@ -18,7 +18,7 @@ _RINGS = np.concatenate(
 """Extra starts. Data are real, so kappa is symmetric about the real axis and the upper half of the circle will do."""
 
 _STARTS = 6
-_STEPS = 5
+_STEPS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def refine(pencil: Pencil, lam: Complex) -> tuple[Complex, Array]:
     for _ in range(_STEPS):
         value = pencil.evaluate(at)
         left, sigma, _ = np.linalg.svd(value.N, full_matrices=False)
-        sigma = sigma / pencil.weight(abs(at.t))[:, None]
+        sigma = sigma / pencil.weight(at.t)[:, None]
         better = sigma[:, -1] < best[:, -1]
         gained = np.any(sigma[:, -1] < 0.9 * best[:, -1])
         best[better], kept[better] = sigma[better], at.lambda_[better]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ros2_deepc.behavior import Record, data_matrix
 from ros2_deepc.behavior.hankel import as_signal
 
-from .compress import Array, Compression, compress, excites
+from .compress import Array, Compression, compress, excites, triangle
 
 
 class Source(Protocol):
@@ -98,7 +98,7 @@ class Records:
         if order < 1:
             return True
         H = data_matrix([Record(r.u, np.empty((len(r.u), 0))) for r in self.records], order, 1)
-        return H.shape[1] >= H.shape[0] and excites(np.asarray(np.linalg.qr(H.T, mode="r")).T)
+        return H.shape[1] >= H.shape[0] and excites(triangle(H))
 
     def without_feedthrough(self, D: Array) -> Records:
         """The same data with y - D u for y."""
@@ -155,7 +155,7 @@ class Factor:
         if order > len(self.F) or self.F.shape[2] < rows:
             return False
         H = self.F[:order, : self.m].reshape(rows, -1)
-        return order < 1 or excites(np.asarray(np.linalg.qr(H.T, mode="r")).T)
+        return order < 1 or excites(triangle(H))
 
     def without_feedthrough(self, D: Array) -> Factor:
         """The same data with y - D u for y."""
