@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""From samples to inputs: excite until the data describe the plant, then control it. Pure; the controller node wraps it."""
+"""From samples to inputs: excite until the data describe the plant, then control it. The controller node wraps it."""
 
 from dataclasses import dataclass
 from enum import IntEnum

@@ -132,7 +132,5 @@ def check(owner: str, table: Iterable[Param], given: Mapping[str, Any]) -> None:
 
 def markdown(table: Iterable[Param]) -> str:
     """The table as Markdown, for the documentation."""
-    lines = ["| parameter | default | meaning |", "|---|---|---|"]
-    for row in table:
-        lines.append(f"| `{row.name}` | `{row.default}` | {row.text()}{row.range()} |")
-    return "\n".join(lines)
+    rows = (f"| `{row.name}` | `{row.default}` | {row.text()}{row.range()} |" for row in table)
+    return "\n".join(["| parameter | default | meaning |", "|---|---|---|", *rows])
