@@ -66,6 +66,9 @@ class DeepcController:
         self._answer: Array | None = None  # step's own answer, taken as committed unless something else is
         self._last: Array | None = None  # the input one sample before the next free one
         self._plan: tuple[int, Plan] | None = None  # the last checked plan and when it was made
+        self._goal = np.empty((0, self._sized.p))  # the reference over the plan
+        self._goal_vector = np.empty(0)
+        self._goal_key: tuple[tuple[int, ...], bytes] | None = None
         self._instant = 0
         self._due = False  # the window has moved since the last preparation
         self._prepare_time = 0.0
@@ -82,6 +85,7 @@ class DeepcController:
         self._limiter = Limiter(self._sized.u_min, self._sized.u_max, self._sized.du_max)
         self._planner = Planner(self._sized)
         self._data.tune(self._sized)
+        self._goal_key = None
 
     # What the data can do
 
@@ -199,32 +203,27 @@ class DeepcController:
             ValueError: if the reference or the forecast has a wrong size or is not finite.
         """
         begin = perf_counter()
-        goal = self._reference(y_ref)
+        self._follow(y_ref)
         if lacking := self.missing():
             raise NotReadyError(f"not ready: {lacking}")
         w = self._known(forecast)
         if not self._planner.loaded:
             self._load()
-        plan, remark = self._planner.plan(w, goal)
+        plan, remark = self._planner.plan(w, self._goal_vector)
         if plan is None:
             status, plan = self._without_solution(remark)
         else:
             self._plan = (self._instant, plan)
             status = Status.SECOND_SOLVER if plan.second else Status.SOLVED
-        wanted = plan.u[0] + self._dither()
+        wanted = plan.first(self._sized.m) + self._dither()
         u = self._limiter.apply(wanted, self._last)
         self._answer, self._due = u, self._data.moves
         return StepResult(
             u=u.copy(),
             status=status,
-            reason=plan.remark,
-            u_plan=plan.u,
-            y_plan=plan.y,
-            limited=bool(np.abs(u - wanted).max() > 1e-4 * max(1.0, np.abs(wanted).max())),
-            iterations=plan.iterations,
-            solver=plan.solver,
-            goal=goal,
-            unmet=plan.unmet,
+            wanted=wanted,
+            goal=self._goal,
+            plan=plan,
             sized=self._sized,
             prepare_time=self._prepare_time,
             solve_time=perf_counter() - begin,
@@ -246,19 +245,22 @@ class DeepcController:
         amplitude = self._sized.dither
         return self._rng.uniform(-amplitude, amplitude) if amplitude.any() else 0.0
 
-    def _reference(self, y_ref: ArrayLike) -> Array:
-        """The reference over the plan, shape (L, p)."""
+    def _follow(self, y_ref: ArrayLike) -> None:
+        """Takes the reference, if it is another one than before."""
         L, p = self._sized.base.L, self._sized.p
         a = np.asarray(y_ref, dtype=np.float64)
+        key = (a.shape, a.tobytes())
+        if key == self._goal_key:
+            return
         if a.shape == () and p == 1:
             a = a.reshape(1)
         if a.shape not in ((p,), (L, p)):
             raise ValueError(f"y_ref has shape {a.shape}: give ({p},), or ({L}, {p}) for a trajectory over the plan")
         if not np.isfinite(a).all():
             raise ValueError("y_ref must be finite")
-        goal = np.empty((L, p))
-        goal[:] = a
-        return goal
+        self._goal = np.array(np.broadcast_to(a, (L, p)))
+        self._goal.flags.writeable = False
+        self._goal_key, self._goal_vector = key, self._goal.ravel()
 
     def _known(self, forecast: ArrayLike | None) -> Array:
         """What the plan starts from: [past and committed inputs; disturbances; past outputs]."""
@@ -287,9 +289,10 @@ class DeepcController:
         made, last = self._plan or (self._instant - L, None)
         age = self._instant - made
         if last is not None and age < L:
-            u = np.vstack([last.u[age:], np.tile(last.u[-1], (age, 1))])
-            y = np.vstack([last.y[age:], np.full((age, p), np.nan)])
-            return Status.SHIFTED_PLAN, Plan(u, y, False, "", 0, remark, last.unmet)
+            u, y = last.u(m), last.y(p)
+            u = np.vstack([u[age:], np.tile(u[-1], (age, 1))])
+            y = np.vstack([y[age:], np.full((age, p), np.nan)])
+            return Status.SHIFTED_PLAN, Plan(None, u, y, False, "", 0, remark, last.unmet)
         held = self._last if self._last is not None else np.zeros(m)
         u = np.tile(held if self._sized.base.fallback == "hold" else self._sized.u_safe, (L, 1))
-        return Status.FALLBACK, Plan(u, np.full((L, p), np.nan), False, "", 0, remark, np.full(p, np.nan))
+        return Status.FALLBACK, Plan(None, u, np.full((L, p), np.nan), False, "", 0, remark, np.full(p, np.nan))

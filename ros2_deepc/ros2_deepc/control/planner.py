@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a predictor to plans: the program, its solvers, and what to do when (6.1c) cannot hold."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,11 +18,12 @@ FEASIBLE = 1e-6  # a terminal condition missed by less than this, relative to th
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A checked plan.
+    """A checked plan; inputs and outputs are worked out from the solution when they are asked for.
 
     Attributes:
-        u: planned inputs, shape (L, m).
-        y: predicted outputs, shape (L, p).
+        program: the program solved; None for a plan that was made otherwise.
+        x: its solution; or the inputs themselves, shape (L, m).
+        w: what it started from; or the outputs themselves, shape (L, p).
         second: whether the second solver had to be used.
         solver: name of the solver that answered.
         iterations: its iterations.
@@ -31,13 +32,33 @@ class Plan:
             if (6.1c) holds.
     """
 
-    u: Array
-    y: Array
+    program: Condensed | None
+    x: Array
+    w: Array
     second: bool
     solver: str
     iterations: int
     remark: str
     unmet: Array
+
+    def first(self, m: int) -> Array:
+        """The first planned input, shape (m,)."""
+        u: Array = self.x[0] if self.program is None else self.x[:m]
+        return u
+
+    def u(self, m: int) -> Array:
+        """Planned inputs, shape (L, m)."""
+        if self.program is None:
+            return self.x.copy()
+        u: Array = self.program.inputs @ self.x
+        return u.reshape(-1, m)
+
+    def y(self, p: int) -> Array:
+        """Predicted outputs, shape (L, p)."""
+        if self.program is None:
+            return self.w.copy()
+        y: Array = self.program.outputs @ self.x + self.program.outputs_w @ self.w
+        return y.reshape(-1, p)
 
 
 class _Branch:
@@ -51,16 +72,23 @@ class _Branch:
     def __init__(self, template: Template, solver: str) -> None:
         self.template, self.solver = template, CheckedSolver(solver)
         self.program: Condensed | None = None
+        self._goal: Array | None = None
+        self._f_goal = np.empty(0)
 
     def load(self, predictor: Predictor) -> Condensed:
-        self.program = condense(self.template, predictor)
-        self.solver.load(self.program.H, self.program.A)
-        return self.program
+        self.program = program = condense(self.template, predictor)
+        self.solver.load(program)
+        if self._goal is not None:
+            self._f_goal = program.f0 + program.f_goal @ self._goal
+        return program
 
     def plan(self, w: Array, r: Array, unmet: Array) -> tuple[Plan | None, str]:
         program = self.program
         assert program is not None  # load comes first
-        f = program.f0 + program.f_w @ w + program.f_goal @ r
+        if self._goal is not r:  # a reference stays for many samples: its share of the program is kept
+            self._goal = r
+            self._f_goal = program.f0 + program.f_goal @ r
+        f = self._f_goal + program.f_w @ w
         lower, upper = program.lower, program.upper
         if program.A.shape[0]:
             move = program.A_w @ w + program.A_goal @ r
@@ -70,10 +98,8 @@ class _Branch:
         answer, which, remark = self.solver.solve(f, lower, upper)
         if answer is None:
             return None, remark
-        m, p = self.template.sized.m, self.template.sized.p
-        u = (program.inputs @ answer.x).reshape(-1, m)
-        y = (program.outputs @ answer.x + program.outputs_w @ w).reshape(-1, p)
-        return Plan(u, y, which > 0, self.solver.solvers[which].name, answer.iterations, remark, unmet), remark
+        solver = self.solver.solvers[which].name
+        return Plan(program, answer.x, w, which > 0, solver, answer.iterations, remark, unmet), remark
 
 
 class Planner:
@@ -109,13 +135,14 @@ class Planner:
             every = [np.arange(p)] + [np.array([i]) for i in range(p)]
             self._tests = [_Reach(program, self._sized, outputs) for outputs in every]
 
-    def plan(self, w: Array, goal: Array) -> tuple[Plan | None, str]:
-        """Plans from w = [known inputs; disturbances; past outputs] towards the reference trajectory goal (L, p).
+    def plan(self, w: Array, r: Array) -> tuple[Plan | None, str]:
+        """Plans from w = [known inputs; disturbances; past outputs] towards the reference trajectory r, shape (pL,).
+
+        Hand over the same r as long as the reference stays the same.
 
         Returns:
             The plan, and a remark; no plan if no solver found one that passes the check.
         """
-        r = goal.ravel()
         if self._relaxed is None:
             return self._main.plan(w, r, self._nothing)
         unmet = self._unmet(w, r)
@@ -127,7 +154,7 @@ class Planner:
         said = f"{said}; {remark}" if remark else said
         if plan is None:
             return None, said
-        return Plan(plan.u, plan.y, plan.second, plan.solver, plan.iterations, said, unmet), said
+        return replace(plan, remark=said), said
 
     def _unmet(self, w: Array, r: Array) -> Array:
         """Zero if (6.1c) can hold, else the least each output must miss it by."""
@@ -167,7 +194,8 @@ class _Reach:
         self._upper = np.concatenate([program.upper[:n], [np.inf], program.upper[n:], far, zero])
         self._n = n + 1
         self._solver = Daqp()
-        self._solver.load(np.diag(np.append(np.full(n, self.RIDGE), 1.0)), A)
+        H = np.diag(np.append(np.full(n, self.RIDGE), 1.0))
+        self._solver.load(H, A, self._lower, self._upper)
 
     def smallest(self, w: Array, r: Array) -> float:
         """The smallest t; infinity if the limits themselves cannot be met."""

@@ -28,6 +28,8 @@ class Condensed:
     f and the bounds are affine in what a step knows: w = [known inputs; disturbances; past outputs] and the reference
     trajectory, both as vectors.
 
+    The first m unknowns are the first planned input.
+
     Attributes:
         H: shape (n, n).
         A: shape (rows, n).

@@ -13,6 +13,8 @@ from scipy.sparse import csc_matrix
 
 from ros2_deepc.behavior.hankel import Array
 
+from .problem import Condensed
+
 INFINITE = 1e30
 OSQP_SETTINGS: dict[str, Any] = {
     "verbose": False,
@@ -47,8 +49,8 @@ class QpSolver(Protocol):
 
     name: str
 
-    def load(self, H: Array, A: Array) -> None:
-        """Takes new matrices H (n, n), symmetric positive semidefinite, and A (rows, n)."""
+    def load(self, H: Array, A: Array, lower: Array, upper: Array) -> None:
+        """Takes new matrices H (n, n), symmetric positive semidefinite, and A (rows, n), and first bounds for them."""
 
     def solve(self, f: Array, lower: Array, upper: Array) -> Answer:
         """Solves for f (n,) and bounds (n + rows,), first the box, then the rows of A; infinite bounds are allowed."""
@@ -63,8 +65,9 @@ class Osqp:
         self._model: Any = None
         self._shape = (-1, -1)
         self._upper = np.empty(0, dtype=np.intp)
+        self._bounds: tuple[Array, Array] | None = None
 
-    def load(self, H: Array, A: Array) -> None:
+    def load(self, H: Array, A: Array, lower: Array, upper: Array) -> None:
         """See `QpSolver.load`; a change of shape sets up anew."""
         n, rows = H.shape[0], A.shape[0]
         if self._shape == (n, rows):
@@ -79,20 +82,23 @@ class Osqp:
         P = csc_matrix((H.ravel()[self._upper], column, np.append(0, np.cumsum(np.arange(1, n + 1)))), shape=(n, n))
         indices = np.hstack([np.arange(n)[:, None], np.tile(n + np.arange(rows), (n, 1))]).ravel()
         AI = csc_matrix((_with_identity(A), indices, (rows + 1) * np.arange(n + 1)), shape=(n + rows, n))
-        free = np.full(n + rows, np.inf)
         self._model = osqp.OSQP()
-        self._model.setup(P, np.zeros(n), AI, -free, free, **OSQP_SETTINGS)
-        self._shape = (n, rows)
+        self._model.setup(P, np.zeros(n), AI, lower, upper, **OSQP_SETTINGS)
+        self._shape, self._bounds = (n, rows), None
 
     def solve(self, f: Array, lower: Array, upper: Array) -> Answer:
         """See `QpSolver.solve`."""
-        self._model.update(q=f, l=lower, u=upper)
+        if self._bounds is not None and self._bounds[0] is lower and self._bounds[1] is upper:
+            self._model.update(q=f)
+        else:
+            self._model.update(q=f, l=lower, u=upper)
+            self._bounds = (lower, upper)
         answer = self._model.solve(raise_error=False)
         info = answer.info
         solved = info.status_val == osqp.SolverStatus.OSQP_SOLVED
         if not solved:
             self._model.warm_start(x=np.zeros(f.size), y=np.zeros(lower.size))  # a bad end is a bad start
-        return Answer(np.array(answer.x), np.array(answer.y), solved, int(info.iter), str(info.status))
+        return Answer(answer.x, answer.y, solved, info.iter, info.status)
 
 
 class Daqp:
@@ -102,30 +108,48 @@ class Daqp:
 
     def __init__(self) -> None:
         self._model: Any = None
-        self._H = self._A = np.empty((0, 0))
-        self._fresh = False
+        self._problem = (np.empty((0, 0)), np.empty((0, 0)))
+        self._seen: tuple[Array, Array] | None = None  # bounds last seen, and what DAQP was given for them
+        self._bounds = (np.empty(0), np.empty(0))
 
-    def load(self, H: Array, A: Array) -> None:
-        """See `QpSolver.load`; takes effect with the next solve."""
-        self._H, self._A, self._fresh = H.copy(), A.copy(), True
+    def load(self, H: Array, A: Array, lower: Array, upper: Array) -> None:
+        """See `QpSolver.load`."""
+        self._problem = (H, A)
+        self._set_up(lower, upper)
 
     def solve(self, f: Array, lower: Array, upper: Array) -> Answer:
         """See `QpSolver.solve`."""
-        low, high = np.maximum(lower, -INFINITE), np.minimum(upper, INFINITE)
-        if self._fresh or self._model is None:
-            sense = np.where(low == high, 5, 0).astype(np.int32)
-            self._model = daqp.Model()
-            flag, _ = self._model.setup(self._H, f, self._A, high, low, sense)
-            self._fresh = False
-            if flag < 0:
-                self._model = None
-                return Answer(np.full(f.size, np.nan), np.zeros(low.size), False, 0, f"setup failed ({flag})")
+        if self._model is None:
+            self._set_up(lower, upper)
+        if self._model is None:
+            return Answer(np.full(f.size, np.nan), np.zeros(lower.size), False, 0, "setup failed")
+        if self._same(lower, upper):
+            self._model.update(f=f)
         else:
-            self._model.update(f=f, bupper=high, blower=low)
+            self._model.update(f=f, bupper=self._bounds[1], blower=self._bounds[0])
         x, _, flag, info = self._model.solve()
         if flag != 1:
-            self._fresh = True
-        return Answer(np.array(x), np.array(info["lam"]), flag == 1, int(info["iterations"]), f"exit flag {flag}")
+            self._model = None  # a bad end is a bad start
+        return Answer(x, info["lam"], flag == 1, info["iterations"], f"exit flag {flag}")
+
+    def _same(self, lower: Array, upper: Array) -> bool:
+        """Whether these bounds are the last ones; otherwise takes them, infinities in DAQP's way."""
+        if self._seen is not None and self._seen[0] is lower and self._seen[1] is upper:
+            return True
+        self._seen = (lower, upper)
+        self._bounds = (np.maximum(lower, -INFINITE), np.minimum(upper, INFINITE))
+        return False
+
+    def _set_up(self, lower: Array, upper: Array) -> None:
+        """A fresh model: the factorisation happens here."""
+        H, A = self._problem
+        self._same(lower, upper)
+        low, high = self._bounds
+        sense = np.where(low == high, 5, 0).astype(np.int32)
+        self._model = daqp.Model()
+        flag, _ = self._model.setup(H, np.zeros(H.shape[0]), A, high, low, sense)
+        if flag < 0:
+            self._model = None
 
 
 def _with_identity(A: Array) -> Array:
@@ -138,8 +162,25 @@ def make_solver(name: str) -> QpSolver:
     return Osqp() if name == "osqp" else Daqp()
 
 
+def box_fault(answer: Answer, H: Array, f: Array, lower: Array, upper: Array, tolerance: float = 1e-5) -> str:
+    """Checks an answer to a program with a box alone; empty if it is optimal, else what is wrong with it.
+
+    The point is optimal if and only if a gradient step followed by the projection on the box leads back to it: this
+    covers bounds, stationarity and the signs of multipliers at once, and any NaN.
+    """
+    if not answer.solved:
+        return answer.status
+    x = answer.x
+    step = x - (H @ x + f) / H.diagonal().max()
+    step = x - np.minimum(np.maximum(step, lower), upper)
+    size = float(step @ step)
+    if size <= tolerance**2 * (1.0 + float(x @ x)):
+        return ""
+    return f"not optimal: a projected gradient step moves by {math.sqrt(size):.1e}"
+
+
 def fault(answer: Answer, H: Array, f: Array, A: Array, lower: Array, upper: Array, tolerance: float = 1e-4) -> str:
-    """Checks an answer against the optimality conditions; empty if it holds, else what is wrong with it.
+    """Checks an answer against the optimality conditions; empty if they hold, else what is wrong with it.
 
     Tolerances are relative to the size of the terms that are compared.
     """
@@ -148,17 +189,19 @@ def fault(answer: Answer, H: Array, f: Array, A: Array, lower: Array, upper: Arr
     x, y, n = answer.x, answer.y, answer.x.size
     if not math.isfinite(float(x @ x) + float(y @ y)):
         return "not finite"
-    if A.shape[0]:
-        z, Ay = np.concatenate([x, A @ x]), y[:n] + A.T @ y[n:]
-    else:
-        z, Ay = x, y
+    z, Ay = np.concatenate([x, A @ x]), y[:n] + A.T @ y[n:]
     excess = float(np.maximum(lower - z, z - upper).max())
     if excess > tolerance * max(1.0, _largest(z)):
         return f"constraints violated by {excess:.1e}"
     Hx = H @ x
+    forces = max(1.0, _largest(f), _largest(Ay), _largest(Hx))
     slope = _largest(Hx + f + Ay)
-    if slope > tolerance * max(1.0, _largest(f), _largest(Ay), _largest(Hx)):
+    if slope > tolerance * forces:
         return f"not stationary by {slope:.1e}"
+    # a multiplier may push only where its bound is met
+    idle = np.maximum(y, 0.0) * np.minimum(upper - z, 1.0) - np.minimum(y, 0.0) * np.minimum(z - lower, 1.0)
+    if _largest(idle) > tolerance * forces * max(1.0, _largest(z)):
+        return f"multipliers off their bounds by {_largest(idle):.1e}"
     return ""
 
 
@@ -177,12 +220,12 @@ class CheckedSolver:
     def __init__(self, first: str) -> None:
         self.solvers = (make_solver(first), make_solver("daqp" if first == "osqp" else "osqp"))
         self._loaded = [False, False]
-        self._H = self._A = np.empty((0, 0))
+        self._program: Condensed | None = None
 
-    def load(self, H: Array, A: Array) -> None:
-        """Takes new matrices; the second solver gets them when it is needed."""
-        self._H, self._A = H, A
-        self.solvers[0].load(H, A)
+    def load(self, program: Condensed) -> None:
+        """Takes a new program; the second solver gets it when it is needed."""
+        self._program = program
+        self.solvers[0].load(program.H, program.A, program.lower, program.upper)
         self._loaded = [True, False]
 
     def solve(self, f: Array, lower: Array, upper: Array) -> tuple[Answer | None, int, str]:
@@ -192,13 +235,19 @@ class CheckedSolver:
             The answer that passed the check, or None; which solver gave it (0, 1, or 2 for none); what the others
             failed on.
         """
+        program = self._program
+        assert program is not None  # load comes first
+        H, A = program.H, program.A
         complaints: list[str] = []
         for i, solver in enumerate(self.solvers):
             if not self._loaded[i]:
-                solver.load(self._H, self._A)
+                solver.load(H, A, program.lower, program.upper)
                 self._loaded[i] = True
             answer = solver.solve(f, lower, upper)
-            complaint = fault(answer, self._H, f, self._A, lower, upper)
+            if A.shape[0]:
+                complaint = fault(answer, H, f, A, lower, upper)
+            else:
+                complaint = box_fault(answer, H, f, lower, upper)
             if not complaint:
                 return answer, i, "; ".join(complaints)
             complaints.append(f"{solver.name}: {complaint}")

@@ -9,6 +9,7 @@ import numpy as np
 
 from ros2_deepc.behavior.hankel import Array
 
+from .planner import Plan
 from .settings import Sized
 
 
@@ -41,32 +42,52 @@ class StepResult:
     Attributes:
         u: input to apply at the first instant that is still free, shape (m,); respects the box and the rate limits.
         status: how ``u`` came about.
-        reason: one line for people; empty if all is well.
-        u_plan: planned inputs from ``u`` on, shape (L, m).
-        y_plan: predicted outputs from the next instant on, shape (L, p); NaN where nothing is predicted.
-        limited: whether the limiter had to change the planned input by more than rounding.
-        iterations: iterations of the solver that answered.
-        solver: its name; "" if none did.
+        wanted: the input before the limiter, shape (m,).
         prepare_time: wall time of the last preparation [s].
         solve_time: wall time of this step, from call to answer [s].
         goal: reference over the plan, shape (L, p).
-        unmet: for terminal "hard": the least that any admissible plan misses (6.1c) by, per output, shape (p,).
+        plan: the plan behind ``u``.
         sized: settings in force.
     """
 
     u: Array
     status: Status
-    reason: str
-    u_plan: Array
-    y_plan: Array
-    limited: bool
-    iterations: int
-    solver: str
+    wanted: Array
     prepare_time: float
     solve_time: float
     goal: Array = field(repr=False)
-    unmet: Array = field(repr=False)
+    plan: Plan = field(repr=False)
     sized: Sized = field(repr=False)
+
+    @property
+    def reason(self) -> str:
+        """One line for people; empty if all is well."""
+        return self.plan.remark
+
+    @property
+    def u_plan(self) -> Array:
+        """Planned inputs from ``u`` on, shape (L, m)."""
+        return self.plan.u(self.sized.m)
+
+    @property
+    def y_plan(self) -> Array:
+        """Predicted outputs from the next instant on, shape (L, p); NaN where nothing is predicted."""
+        return self.plan.y(self.sized.p)
+
+    @property
+    def limited(self) -> bool:
+        """Whether the limiter had to change the wanted input by more than rounding."""
+        return bool(np.abs(self.u - self.wanted).max() > 1e-4 * max(1.0, np.abs(self.wanted).max()))
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of the solver that answered."""
+        return self.plan.iterations
+
+    @property
+    def solver(self) -> str:
+        """Name of the solver that answered; "" if none did."""
+        return self.plan.solver
 
     @property
     def _seeks(self) -> bool:
@@ -94,20 +115,25 @@ class StepResult:
 
     @property
     def violation(self) -> Array:
-        """How far the plan misses the terminal condition, per output, shape (p,); see `unmet` for "hard"."""
+        """How far the plan misses the terminal condition, per output, shape (p,).
+
+        For "hard" the least that any admissible plan misses (6.1c) by, each output taken alone; zero where it can hold.
+        """
         terminal, tail = self.sized.base.terminal, self.sized.base.tail
         if terminal == "none":
             return np.zeros(self.sized.p)
         if terminal == "hard":
-            return self.unmet.copy()
-        target = self.y_plan[-1] if terminal == "equilibrium" else self.goal[-tail:]
-        off = np.abs(self.y_plan[-tail:] - target).max(axis=0)
+            return self.plan.unmet.copy()
+        y = self.y_plan
+        target = y[-1] if terminal == "equilibrium" else self.goal[-tail:]
+        off = np.abs(y[-tail:] - target).max(axis=0)
         return np.asarray(np.where(self.sized.mask > 0, off, 0.0))
 
     @property
     def slack(self) -> Array:
         """Largest violation of the output limits per output, shape (p,)."""
-        over = np.maximum(self.sized.y_min - self.y_plan, self.y_plan - self.sized.y_max)
+        y = self.y_plan
+        over = np.maximum(self.sized.y_min - y, y - self.sized.y_max)
         return np.asarray(np.maximum(over.max(axis=0), 0.0))
 
     @property
