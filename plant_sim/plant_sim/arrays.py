@@ -28,6 +28,8 @@ def matrix(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
         ShapeError: if the number of dimensions or a size is wrong, or an entry is not a finite real number.
     """
     try:
+        if np.iscomplexobj(value):
+            raise TypeError("it has complex entries")
         a = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{name} must be a real matrix: {error}") from None

@@ -102,7 +102,11 @@ class DescriptorSystem:
         return form.S[: form.q] @ (self.E @ matrix(x, "x", (self.n,)))
 
     def structure(self) -> "Structure":
-        """Controllability, observability, conserved quantities: see `plant_sim.structure.structure`."""
+        """Controllability, observability, conserved quantities: see `plant_sim.structure.structure`; computed once."""
+        return self._structure
+
+    @cached_property
+    def _structure(self) -> "Structure":
         from .structure import structure
 
         return structure(self)
@@ -113,6 +117,7 @@ class DescriptorSystem:
         z10: ArrayLike | None = None,
         *,
         x0: ArrayLike | None = None,
+        tolerance: float = 1e-8,
         process_noise: ArrayLike | None = None,
         measurement_noise: ArrayLike | None = None,
         rng: np.random.Generator | None = None,
@@ -121,5 +126,6 @@ class DescriptorSystem:
         from .simulate import simulate
 
         return simulate(
-            self, u, z10, x0=x0, process_noise=process_noise, measurement_noise=measurement_noise, rng=rng
+            self, u, z10, x0=x0, tolerance=tolerance,
+            process_noise=process_noise, measurement_noise=measurement_noise, rng=rng,
         )  # fmt: skip

@@ -112,9 +112,10 @@ def load(path: str | Path) -> Plant:
     """Loads a plant from YAML.
 
     Either matrices (A, B, C and sample_time; E and D are optional), or a section ``grid`` or ``water`` with ``file``
-    and the options of `plant_sim.power.from_case` or `plant_sim.water.from_inp`; relative paths start at the YAML file. In
-    each case also name, description, input_min, input_max, initial (x(0), or low and high to draw between), references
-    (k, values), settings and steps; for matrices input_names, input_units, output_names, output_units and state_names.
+    and the options of `plant_sim.power.from_case` or `plant_sim.water.from_inp`; relative paths start at the YAML
+    file. In each case also name, description, input_min, input_max, initial (x(0), or low and high to draw between),
+    references (k, values), settings and steps; for matrices input_names, input_units, output_names, output_units and
+    state_names too.
 
     Raises:
         PlantError: if the file is missing, not YAML, has unknown or missing keys, or matrices that do not fit; the

@@ -11,6 +11,7 @@ from scipy.linalg import lapack
 from .arrays import Array, frozen
 
 EPS = float(np.finfo(np.float64).eps)
+Point = tuple[float, complex, Array]  # a singular value, where, and its left vector
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -58,7 +59,7 @@ def _weakest_at(A: Array, B: Array, z: complex) -> tuple[float, Array]:
     M = np.hstack([A - point * np.eye(q), B])
     R = np.asarray(np.linalg.qr(M.conj().T, mode="r"))
     diagonal = np.abs(R.diagonal())
-    tiny = EPS * max(float(diagonal.max()), 1e-300)
+    tiny = EPS * max(float(diagonal.max()), EPS)
     weak = diagonal < tiny
     R[weak, weak] = tiny  # an exact zero would stop the iteration; this moves the singular value by eps
     solve = lapack.dtrtrs if R.dtype == np.float64 else lapack.ztrtrs
@@ -69,29 +70,52 @@ def _weakest_at(A: Array, B: Array, z: complex) -> tuple[float, Array]:
     return float(np.linalg.norm(M.conj().T @ w)), w
 
 
-def weakest_mode(A: Array, B: Array, *, starts: int = 6, sweeps: int = 20) -> tuple[float, complex, Array]:
-    """Local minima of the smallest singular value of [A - zI, B] from every eigenvalue; the lowest.
+def _slide(A: Array, B: Array, point: Point) -> Point:
+    """Alternates between the left vector w at z and the best z for w, its Rayleigh quotient w' A w: never goes up."""
+    sigma, z, w = point
+    for _ in range(20):
+        new_z = complex(w.conj() @ A @ w)
+        if z.imag == 0 or abs(new_z.imag) < 1e-7 * abs(new_z):
+            new_z = complex(new_z.real)
+        new_sigma, new_w = _weakest_at(A, B, new_z)
+        if not new_sigma < 0.97 * sigma:
+            break
+        sigma, z, w = new_sigma, new_z, new_w
+    return sigma, z, w
 
-    From a left vector w the best z is its Rayleigh quotient w' A w, so alternating the two never goes up.
+
+def _probe(A: Array, B: Array, point: Point) -> Point:
+    """Compass search around a point, with steps from four times the singular value found down to a twentieth of it."""
+    sigma, z, w = point
+    step = 4 * sigma
+    while step > 0.05 * sigma > 1e-7:  # smaller minima are narrow, and the alternation has found them
+        for direction in (1, -1, 1j, -1j):
+            new_sigma, new_w = _weakest_at(A, B, z + step * direction)
+            if new_sigma < sigma:
+                sigma, z, w = new_sigma, z + step * direction, new_w
+                break
+        else:
+            step /= 2
+    return sigma, z, w
+
+
+def weakest_mode(A: Array, B: Array, *, starts: int = 6) -> Point:
+    """The smallest singular value of [A - zI, B] over z, by local searches from the most promising eigenvalues.
+
+    Any z below the value at hand lies in a part of the pseudospectrum of A that holds an eigenvalue, hence the starts.
+    A value near zero is found to rounding; a large one is an upper bound, as a rule within tens of percent.
 
     Returns:
         The singular value, z, and the left vector, shape (q,).
     """
     eigenvalues = [complex(z) for z in linalg.eigvals(A) if z.imag >= 0]
-    found = sorted(((*_weakest_at(A, B, z), z) for z in eigenvalues), key=lambda item: item[0])[:starts]
-    best, best_w, best_z = found[0]
-    for sigma, w, z in found:
-        for _ in range(sweeps):
-            new_z = complex(w.conj() @ A @ w)
-            if z.imag == 0 or abs(new_z.imag) < 1e-7 * abs(new_z):
-                new_z = complex(new_z.real)
-            new_sigma, new_w = _weakest_at(A, B, new_z)
-            if not new_sigma < 0.99 * sigma:
-                break
-            sigma, w, z = new_sigma, new_w, new_z
-        if sigma < best:
-            best, best_w, best_z = sigma, w, z
-    return best, best_z, best_w
+    first = [(sigma, z, w) for z in eigenvalues for sigma, w in [_weakest_at(A, B, z)]]
+    slid = sorted((_slide(A, B, point) for point in sorted(first, key=_height)[:starts]), key=_height)
+    return min((_probe(A, B, point) for point in slid[:2]), key=_height)
+
+
+def _height(point: Point) -> float:
+    return point[0]
 
 
 def _krylov_rank(A: Array, B: Array, floor: float) -> int:
