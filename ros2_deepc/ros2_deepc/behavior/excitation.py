@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Persistency of excitation of an input record."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -16,18 +18,19 @@ def numerical_rank(M: Array) -> int:
     return int(np.count_nonzero(sv > max(M.shape) * np.finfo(np.float64).eps * sv[0]))
 
 
-def excites(u: Array, L: int) -> bool:
-    """Whether u is persistently exciting of order L: H_L(u) has full row rank m L (paper, section 1).
+def excites(pieces: Sequence[Array], L: int) -> bool:
+    """Whether inputs are collectively persistently exciting of order L: [H_L(u1), H_L(u2), ...] has full row rank m L.
 
     Args:
-        u: finite input record, shape (T, m), every channel of similar size.
+        pieces: finite input records, shapes (T_i, m), every channel of similar size.
         L: order, L >= 0.
     """
-    T, m = u.shape
     if L == 0:
         return True
-    wide = (m + 1) * L - 1 <= T
-    return bool(wide and numerical_rank(hankel(u, L)) == m * L)
+    parts = [hankel(u, L) for u in pieces if len(u) >= L]
+    rows = L * pieces[0].shape[1]
+    wide = sum(part.shape[1] for part in parts) >= rows
+    return bool(wide and numerical_rank(np.hstack(parts)) == rows)
 
 
 def excitation_order(u: ArrayLike, at_most: int | None = None) -> int:
@@ -47,21 +50,37 @@ def excitation_order(u: ArrayLike, at_most: int | None = None) -> int:
     Raises:
         ValueError: if u is not a finite signal.
     """
-    a = as_signal(u, "u")
-    T, m = a.shape
-    peak = np.abs(a).max(axis=0, initial=0.0)
+    return collective_excitation_order([u], at_most)
+
+
+def collective_excitation_order(records: Sequence[ArrayLike], at_most: int | None = None) -> int:
+    """Largest order of which several unbroken input records excite together; see `excitation_order`.
+
+    Args:
+        records: input records, shapes (T_i, m).
+        at_most: stop at this order.
+
+    Raises:
+        ValueError: if a record is not a finite signal.
+    """
+    pieces = [as_signal(u, "u") for u in records]
+    if not pieces:
+        return 0
+    m = pieces[0].shape[1]
+    peak = np.max([np.abs(u).max(axis=0, initial=0.0) for u in pieces], axis=0)
     if m == 0 or not peak.all():
         return 0
-    a = a / peak
-    highest = int((T + 1) // (m + 1))  # more block rows than this and H_L(u) is taller than wide
+    pieces = [u / peak for u in pieces]
+    longest = max(len(u) for u in pieces)
+    highest = (longest + 1) // (m + 1) if len(pieces) == 1 else longest  # beyond, the matrix is taller than wide
     if at_most is not None:
         highest = min(highest, at_most)
-    if excites(a, highest):
+    if excites(pieces, highest):
         return highest
     low, high = 0, highest  # excites(low) holds, excites(high) does not
     while high - low > 1:
         middle = (low + high) // 2
-        if excites(a, middle):
+        if excites(pieces, middle):
             low = middle
         else:
             high = middle

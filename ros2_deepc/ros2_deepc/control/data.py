@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ros2_deepc.behavior import Record, data_matrix, excitation_order
+from ros2_deepc.behavior import Record, collective_excitation_order, data_matrix
 from ros2_deepc.behavior.hankel import Array
 
 from .layout import Layout
@@ -71,10 +71,8 @@ class Snapshot:
 
     @cached_property
     def excitation_order(self) -> int:
-        """Order of excitation of the newest unbroken record's inputs, counted up to what is needed."""
-        return (
-            excitation_order(self.records[-1].u[:, : self.sized.m], self.sized.excitation_need) if self.records else 0
-        )
+        """Order of which the inputs of all records excite together, counted up to what is needed."""
+        return collective_excitation_order([r.u[:, : self.sized.m] for r in self.records], self.sized.excitation_need)
 
     @cached_property
     def rich(self) -> bool:

@@ -35,7 +35,7 @@ class RunData:
         self._first: Snapshot | None = None
         self._stream: _Stream | None = None
         self._adopted: Predictor | None = None
-        self._strength = (0.0, 0.0)
+        self._reference: Predictor | None = None  # of the first rich window, in scaled channels
         self._units: Units | None = None
         self.weak = ""
 
@@ -102,9 +102,8 @@ class RunData:
         """The predictor to use now, in the units of the plant: the same object as long as it does not change."""
         assert self._first is not None  # asked for only when nothing is missing
         if self._adopted is None:
-            first = self._first.predictor()
-            self._strength = (first.input_strength, first.state_strength)
-            self._adopted = self._in_units(first)
+            self._reference = self._first.predictor()
+            self._adopted = self._in_units(self._reference)
         elif self.moves:
             newest = self._newest()
             if newest is not None:
@@ -129,11 +128,17 @@ class RunData:
 
     def _weakness(self, newest: Predictor) -> str:
         """Why the newest window is too weak, in one line; empty if it is not."""
-        shares = (newest.input_strength / self._strength[0], newest.state_strength / self._strength[1])
-        if min(shares) >= self._sized.base.guard:
-            return ""
-        what = "inputs" if shares[0] <= shares[1] else "free response"
-        return f"the {what} of the newest window excite {min(shares):.2g} of the first one's"
+        first, guard = self._reference, self._sized.base.guard
+        assert first is not None  # kept when the first window was adopted
+        if newest.order < first.order:
+            return f"the newest window shows {newest.order} of {first.order} directions of the free response"
+        share = newest.input_strength / first.input_strength
+        if share < guard:
+            return f"the inputs of the newest window excite {share:.2g} of the first one's, guard is {guard:g}"
+        if newest.state_strength < guard * first.state_strength:
+            share = newest.state_strength / first.state_strength
+            return f"the free response in the newest window is {share:.2g} of the first one's, guard is {guard:g}"
+        return ""
 
     def _in_units(self, predictor: Predictor) -> Predictor:
         assert self._first is not None

@@ -230,7 +230,7 @@ def _assemble(
     nc, kept = layout.context, V.shape[1]
     from_context = to_future @ V.T
     from_inputs = (below[nc:] - from_context @ below[:nc]) @ inverse
-    weakest = float(sv[kept - 1]) if kept else np.inf
+    weakest = float(sv[kept - 1]) if kept else 0.0
     following = float(sv[kept]) if kept < sv.size else 0.0
     root = np.sqrt(columns)
     return Predictor(
@@ -243,5 +243,5 @@ def _assemble(
         gap=weakest / following if following > 0 else np.inf,
         input_strength=1.0 / (float(np.linalg.norm(inverse)) * root),
         state_strength=weakest / root,
-        precise=weakest > 1e2 * rounding,
+        precise=kept == 0 or weakest > 1e2 * rounding,
     )

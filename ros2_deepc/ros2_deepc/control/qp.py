@@ -162,23 +162,6 @@ def make_solver(name: str) -> QpSolver:
     return Osqp() if name == "osqp" else Daqp()
 
 
-def box_fault(answer: Answer, H: Array, f: Array, lower: Array, upper: Array, tolerance: float = 1e-5) -> str:
-    """Checks an answer to a program with a box alone; empty if it is optimal, else what is wrong with it.
-
-    The point is optimal if and only if a gradient step followed by the projection on the box leads back to it: this
-    covers bounds, stationarity and the signs of multipliers at once, and any NaN.
-    """
-    if not answer.solved:
-        return answer.status
-    x = answer.x
-    step = x - (H @ x + f) / H.diagonal().max()
-    step = x - np.minimum(np.maximum(step, lower), upper)
-    size = float(step @ step)
-    if size <= tolerance**2 * (1.0 + float(x @ x)):
-        return ""
-    return f"not optimal: a projected gradient step moves by {math.sqrt(size):.1e}"
-
-
 def fault(answer: Answer, H: Array, f: Array, A: Array, lower: Array, upper: Array, tolerance: float = 1e-4) -> str:
     """Checks an answer against the optimality conditions; empty if they hold, else what is wrong with it.
 
@@ -186,6 +169,8 @@ def fault(answer: Answer, H: Array, f: Array, A: Array, lower: Array, upper: Arr
     """
     if not answer.solved:
         return answer.status
+    if not A.shape[0]:
+        return _box_fault(answer.x, H, f, lower, upper)
     x, y, n = answer.x, answer.y, answer.x.size
     if not math.isfinite(float(x @ x) + float(y @ y)):
         return "not finite"
@@ -203,6 +188,19 @@ def fault(answer: Answer, H: Array, f: Array, A: Array, lower: Array, upper: Arr
     if _largest(idle) > tolerance * forces * max(1.0, _largest(z)):
         return f"multipliers off their bounds by {_largest(idle):.1e}"
     return ""
+
+
+def _box_fault(x: Array, H: Array, f: Array, lower: Array, upper: Array, tolerance: float = 1e-5) -> str:
+    """The same for a box alone: x is optimal if and only if a projected gradient step leads back to it.
+
+    This covers bounds, stationarity and the signs of multipliers at once, and any NaN.
+    """
+    step = x - (H @ x + f) / H.diagonal().max()
+    step = x - np.minimum(np.maximum(step, lower), upper)
+    size = float(step @ step)
+    if size <= tolerance**2 * (1.0 + float(x @ x)):
+        return ""
+    return f"not optimal: a projected gradient step moves by {math.sqrt(size):.1e}"
 
 
 def _largest(v: Array) -> float:
@@ -244,10 +242,7 @@ class CheckedSolver:
                 solver.load(H, A, program.lower, program.upper)
                 self._loaded[i] = True
             answer = solver.solve(f, lower, upper)
-            if A.shape[0]:
-                complaint = fault(answer, H, f, A, lower, upper)
-            else:
-                complaint = box_fault(answer, H, f, lower, upper)
+            complaint = fault(answer, H, f, A, lower, upper)
             if not complaint:
                 return answer, i, "; ".join(complaints)
             complaints.append(f"{solver.name}: {complaint}")
