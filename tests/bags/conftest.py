@@ -121,11 +121,13 @@ def run_messages(u, y, ref, collect: int) -> list[tuple[str, Any]]:
     return out
 
 
-def write_bag(folder: Path, messages, namespace: str = "/grid", **options) -> None:
+def write_bag(folder: Path, messages, namespace: str = "/grid", attach=None, **options) -> None:
     """Writes messages one millisecond apart."""
     with BagWriter(folder, **options) as bag:
         for name, kind in TOPICS.items():
             bag.add_topic(f"{namespace}/{name}", f"deepc_msgs/msg/{kind}", [qos_entry()])
+        for name, data in (attach or {}).items():
+            bag.attach(name, "application/yaml", data)
         for i, (name, message) in enumerate(messages):
             time = T0 * 10**9 + i * 10**6
             bag.write(f"{namespace}/{name}", to_cdr(message), time, time - 1000)

@@ -2,23 +2,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorded run gives the same answers again, to the bit; what differs is named with its sample, field and size."""
 
+import json
 import subprocess
 import sys
+import textwrap
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import yaml
 from deepc_msgs.msg import MonitorReport
 
-from ros2_deepc.bags import BagError, BagReader, BagWriter, load_run
+from ros2_deepc.bags import BagError, BagReader, BagWriter, load_run, replay
 from ros2_deepc.bags.compare import first_difference, same
 from ros2_deepc.bags.convert import from_cdr, to_cdr
+from ros2_deepc.bags.cores import ControllerCore, MonitorCore
+from ros2_deepc.bags.figure import draw
+from ros2_deepc.bags.whatif import what_if
+from ros2_deepc.control import DeepcController, DeepcSettings
 from ros2_deepc.monitors import Prior
 from ros2_deepc.monitors.live import LiveMonitor
 from ros2_deepc.nodes.controller_node import make_agent, state_message
-from ros2_deepc.nodes.monitor_node import report_message
-from ros2_deepc.replaying import recompute
+from ros2_deepc.nodes.monitor_node import make_live, report_message
 
 PARAMETERS = {
     "controller": {"N": 3, "L": 5, "Q": [4.0], "R": [0.5], "terminal": "equilibrium", "seed": 11},
@@ -62,10 +66,18 @@ def loop(make):
     return closed_loop(make)
 
 
-def write(make, folder, messages, parameters=PARAMETERS):
-    tree = {f"/**/{role}": {"ros__parameters": values} for role, values in parameters.items()}
-    make.write_bag(folder, messages, metadata={"parameters": yaml.safe_dump(tree)})
+def write(make, folder, messages):
+    make.write_bag(folder, messages)
     return folder
+
+
+def recompute(bag, part="all", parameters=PARAMETERS, **options):
+    """A bag through the controller and monitors that the nodes would make."""
+    makers = {
+        "controller": lambda info: ControllerCore(make_agent(parameters["controller"], info), state_message),
+        "monitor": lambda info: MonitorCore(make_live(parameters["monitor"], info), report_message),
+    }
+    return replay(bag, makers if part == "all" else {part: makers[part]}, **options)
 
 
 def test_the_same_again(make, loop, tmp_path):
@@ -77,10 +89,25 @@ def test_the_same_again(make, loop, tmp_path):
     assert (load_run(bag).mode == 2).sum() > 30  # the controller was in control for a good part of it
 
 
+OTHER = """
+    import json, sys
+    from ros2_deepc.bags import replay
+    from ros2_deepc.bags.cores import ControllerCore, MonitorCore
+    from ros2_deepc.nodes.controller_node import make_agent, state_message
+    from ros2_deepc.nodes.monitor_node import make_live, report_message
+    given = json.loads(sys.argv[2])
+    result = replay(sys.argv[1], {
+        "controller": lambda info: ControllerCore(make_agent(given["controller"], info), state_message),
+        "monitor": lambda info: MonitorCore(make_live(given["monitor"], info), report_message),
+    })
+    print(result.same, result.loop_hash)
+"""
+
+
 def test_the_same_in_another_process(make, loop, tmp_path):
     bag = write(make, tmp_path / "bag", loop)
-    code = f"from ros2_deepc.replaying import recompute; r = recompute({str(bag)!r}); print(r.same, r.loop_hash)"
-    out = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
+    command = [sys.executable, "-c", textwrap.dedent(OTHER), str(bag), json.dumps(PARAMETERS)]
+    out = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
     assert out == ["True", load_run(bag).loop_hash]
 
 
@@ -89,7 +116,7 @@ def test_one_flipped_bit_in_an_input_is_caught_at_that_sample(make, loop, tmp_pa
     rng = np.random.Generator(np.random.PCG64(seed))
     k, channel, bit = int(rng.integers(K)), int(rng.integers(2)), int(rng.integers(64))
     write(make, tmp_path / "good", loop)
-    with BagWriter(tmp_path / "bad", metadata=BagReader(tmp_path / "good").metadata["ros2_deepc"]) as bad:
+    with BagWriter(tmp_path / "bad") as bad:
         for raw in BagReader(tmp_path / "good").messages():
             bad.add_topic(raw.topic, raw.type)
             data = raw.data
@@ -174,15 +201,9 @@ def test_two_epochs_are_two_runs(make, loop, tmp_path):
     assert result.loop_hash == load_run(bag).loop_hash
 
 
-def test_parameters_are_needed(make, loop, tmp_path):
-    make.write_bag(tmp_path / "bag", loop)
-    with pytest.raises(BagError, match="give a YAML file"):
-        recompute(tmp_path / "bag")
-    with pytest.raises(BagError, match="choose one of controller, monitor, all"):
-        recompute(tmp_path / "bag", "everything", parameters=PARAMETERS)
-    tree = {f"/**/{role}": {"ros__parameters": values} for role, values in PARAMETERS.items()}
-    (tmp_path / "parameters.yaml").write_text(yaml.safe_dump(tree))
-    assert recompute(tmp_path / "bag").same
+def test_a_bag_without_plant_info_cannot_be_replayed(make, loop, tmp_path):
+    with pytest.raises(BagError, match="nothing says what the plant is"):
+        recompute(write(make, tmp_path / "bag", loop[1:]))
 
 
 def test_progress_ends_at_the_total(make, loop, tmp_path):
@@ -203,3 +224,71 @@ def test_comparison_is_to_the_bit():
     assert first_difference(was, was) is None
     assert first_difference(was, SimpleNamespace(a=1)) is not None
     assert first_difference(np.zeros(2), np.zeros(3)) == ("[]", "2 values", "3 values")
+
+
+SETTINGS = {"N": 3, "L": 5, "Q": 4.0, "R": 0.5, "terminal": "equilibrium", "q": 2, "u_min": -1.0, "u_max": 1.0}
+
+
+def test_what_if_with_the_same_settings_is_what_was(make, loop, tmp_path):
+    run = load_run(write(make, tmp_path / "bag", loop))
+    answer = what_if(run, DeepcController(2, 2, DeepcSettings(**SETTINGS)))
+    first = int(np.flatnonzero(run.mode == 2)[0]) + 1
+    assert answer.first == first
+    assert (answer.failed, answer.missing) == (0, "")
+    np.testing.assert_array_equal(answer.u[first:], run.u[first:])
+    assert np.isnan(answer.u[:first]).all()
+    np.testing.assert_array_equal(answer.furthest, [0, 0])
+    assert answer.solved == K - first
+
+
+def test_what_if_with_other_settings_is_something_else(make, loop, tmp_path):
+    run = load_run(write(make, tmp_path / "bag", loop))
+    answer = what_if(run, DeepcController(2, 2, DeepcSettings(**SETTINGS | {"u_max": 0.2})))
+    assert np.nanmax(answer.u) <= 0.2
+    assert answer.furthest.max() > 0.01
+    draw(run, tmp_path / "figure.png", what_if=answer.u)
+    assert (tmp_path / "figure.png").stat().st_size > 10_000
+
+
+def test_what_if_says_what_is_missing(make, loop, tmp_path):
+    run = load_run(write(make, tmp_path / "bag", loop))
+    answer = what_if(run, DeepcController(2, 2, DeepcSettings(**SETTINGS | {"N": 30, "terminal": "none"})))
+    assert answer.first == -1
+    assert answer.missing
+    make.write_bag(tmp_path / "y", [("outputs", make.sample(0, [1.0]))])
+    blind = load_run(tmp_path / "y")
+    with pytest.raises(BagError, match="no inputs"):
+        what_if(blind, DeepcController(2, 2, DeepcSettings(**SETTINGS)))
+
+
+def test_what_if_starts_a_new_record_after_a_gap(make, loop, tmp_path):
+    gone = range(60, 63)
+    messages = [m for m in loop if not (m[0] == "outputs" and m[1].k in gone)]
+    run = load_run(write(make, tmp_path / "bag", messages))
+    seen = []
+    what_if(
+        run, DeepcController(2, 2, DeepcSettings(**SETTINGS)), progress=lambda done, total: seen.append((done, total))
+    )
+    assert seen[-1] == (K - 3, K - 3)
+
+
+def test_what_if_knows_inputs_that_were_decided_ahead(make, tmp_path):
+    """A plant of index 2: outputs k come after inputs k+1, and the first free input is k+2."""
+    rng = np.random.Generator(np.random.PCG64(4))
+    u = rng.uniform(-1, 1, (121, 1))
+    x, y = np.zeros((121, 1)), np.zeros((120, 2))
+    for k in range(120):
+        y[k] = x[k, 0], 0.5 * u[k + 1, 0] + u[k, 0]
+        x[k + 1] = 0.8 * x[k] + u[k]
+    info = make.plant_info(1, 2)
+    messages = [("plant_info", info), ("reference", make.sample(0, [0.0, 0.0])), ("inputs", make.sample(0, u[0]))]
+    for k in range(120):
+        messages += [("inputs", make.sample(k + 1, u[k + 1])), ("outputs", make.sample(k, y[k]))]
+    make.write_bag(tmp_path / "bag", messages)
+    run = load_run(tmp_path / "bag")
+    settings = DeepcSettings(N=4, L=6, s=2, q=1, u_min=-1.0, u_max=1.0, terminal="none")
+    answer = what_if(run, DeepcController(1, 2, settings))
+    assert answer.failed == 0
+    assert answer.solved > 50
+    assert np.isfinite(answer.u[-50:]).all()
+    assert np.isnan(answer.u[: answer.first]).all()

@@ -65,7 +65,7 @@ def test_page_is_well_formed_and_alone(faulty, tmp_path):
     assert not re.search(r"https?://|url\(|import\(|fetch\(", text)
     for words in (
         "bench · two", "a<b>", "x & </script> y", "not proved", "mode fallback", "optimisation failed, 1 in all",
-        "input not recorded", "reference changes", "one mode is out of reach",
+        "input not recorded", "reference changes", "one mode is out of reach", "horizon",
     ):  # fmt: skip
         assert words in page.text, words
     assert "samples missing: 1 before epoch 0 k = 71" in page.text

@@ -4,8 +4,9 @@
 
 from .errors import BagError
 from .reader import BagReader
+from .replay import replay
 from .run import Run, load_run
 from .summary import summarize
 from .writer import BagWriter
 
-__all__ = ["BagError", "BagReader", "BagWriter", "Run", "load_run", "summarize"]
+__all__ = ["BagError", "BagReader", "BagWriter", "Run", "load_run", "replay", "summarize"]

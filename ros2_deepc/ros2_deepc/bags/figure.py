@@ -25,22 +25,23 @@ _STYLE = {
 MAX_PANELS = 4  # outputs with a panel of their own; more share one
 
 
-def draw(run: Run, path: str | os.PathLike[str], *, title: str = "") -> None:
+def draw(run: Run, path: str | os.PathLike[str], *, title: str = "", what_if: Array | None = None) -> None:
     """Draws a run at 1920 x 1080 pixels.
 
     Args:
         run: the run.
         path: of the picture; its ending (.png, .svg, .pdf) says the format.
         title: above the picture; default: plant and variant.
+        what_if: inputs of another controller, shape (K, m), NaN where it has none; drawn over the recorded ones.
     """
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(12.8, 7.2), dpi=150, facecolor="white")
         FigureCanvasAgg(figure)
-        _fill(figure, run, title)
+        _fill(figure, run, title, what_if)
         figure.savefig(path)
 
 
-def _fill(figure: Figure, run: Run, title: str) -> None:
+def _fill(figure: Figure, run: Run, title: str, what_if: Array | None = None) -> None:
     groups = _output_groups(run)
     heights = [2.0 if len(groups) <= 2 else 1.5] * len(groups) + [1.6]
     rows = {"verdicts": 1.25} if len(run.reports.k) else {}
@@ -55,7 +56,7 @@ def _fill(figure: Figure, run: Run, title: str) -> None:
     axes += [figure.add_subplot(grid[i], sharex=axes[0]) for i in range(1, len(heights) + len(rows))]
     for axis, group in zip(axes, groups, strict=False):
         _outputs(axis, run, x, group)
-    _inputs(axes[len(groups)], run, x)
+    _inputs(axes[len(groups)], run, x, what_if)
     for axis, name in zip(axes[len(heights) :], rows, strict=True):
         (_verdicts if name == "verdicts" else _solve_time)(axis, run, x)
     for axis in axes[: len(heights)]:
@@ -115,15 +116,20 @@ def _outputs(axis: Axes, run: Run, x: Array, group: list[int]) -> None:
         _name_ends(axis, [end for end in ends if np.isfinite(end[0])])
 
 
-def _inputs(axis: Axes, run: Run, x: Array) -> None:
+def _inputs(axis: Axes, run: Run, x: Array, what_if: Array | None) -> None:
     m = run.u.shape[1]
     for i in range(m):
         color = INPUTS[i % len(INPUTS)]
-        axis.step(*thin(x, run.u[:, i]), where="post", color=color, linewidth=1.3, zorder=3)
+        faint = 1.0 if what_if is None else 0.35
+        axis.step(*thin(x, run.u[:, i]), where="post", color=color, linewidth=1.3, zorder=3, alpha=faint)
+        if what_if is not None:
+            axis.step(*thin(x, what_if[:, i]), where="post", color=color, linewidth=1.5, zorder=4)
     limits = {float(v) for v in (*run.input_min, *run.input_max) if np.isfinite(v)}
     for limit in sorted(limits)[:8]:
         axis.axhline(limit, color=INK, linewidth=0.9, linestyle=(0, (1, 1.5)), zorder=2)
-    _label(axis, "inputs", run.input_units[0] if len(set(run.input_units)) == 1 else "")
+    _label(
+        axis, "inputs" if what_if is None else "what if", run.input_units[0] if len(set(run.input_units)) == 1 else ""
+    )
     if m <= len(INPUTS):
         ends = [(_last(run.u[:, i]), run.input_names[i], INPUTS[i], True) for i in range(m)]
         ends += [(max(limits), "limit", MUTED, False)] if len(limits) in (1, 2) else []

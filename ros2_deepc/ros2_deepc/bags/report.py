@@ -22,6 +22,8 @@ from .run import PROPERTIES, VERDICTS, Run, load_run
 from .style import PROPERTY, VERDICT
 from .summary import summarize
 
+SETTINGS = "settings.yaml"  # attachment with the parameters of the run, by node
+
 
 def write_report(
     bag: str | os.PathLike[str], out: str | os.PathLike[str], *, namespace: str | None = None
@@ -79,7 +81,7 @@ def _page(run: Run, reader: BagReader, summary: dict[str, Any], checked: Check) 
 </div>
 <h2>Events</h2>{_events(run)}
 <div class="columns">
-<div><h2>Settings</h2>{_settings(run)}</div>
+<div><h2>Settings</h2>{_settings(run, reader)}</div>
 <div><h2>Recording</h2>{_recording(run, reader, checked)}</div>
 </div>
 <script id="data" type="application/json">{data}</script>
@@ -170,15 +172,15 @@ def _events(run: Run) -> str:
     return _table(["epoch", "k", "time", "what"], rows, (0, 1, 2), "narrow") + more if rows else "<p>None.</p>"
 
 
-def _settings(run: Run) -> str:
-    text = run.metadata.get("parameters", "")
-    rows = []
+def _settings(run: Run, reader: BagReader) -> str:
+    text = next((a.data.decode("utf-8", "replace") for a in reader.attachments() if a.name == SETTINGS), "")
+    rows: list[list[Any]] = []
     try:
         for node, body in (yaml.safe_load(text) or {}).items():
             rows += [[node.rsplit("/", 1)[-1], name, value] for name, value in body.get("ros__parameters", {}).items()]
     except (yaml.YAMLError, AttributeError):
-        rows = [["", "parameters", text]]
-    rows += [["bag", name, value] for name, value in run.metadata.items() if name != "parameters"]
+        rows = [["", SETTINGS, text]]
+    rows += [["bag", name, value] for name, value in run.metadata.items()]
     limits = zip(run.input_names, run.input_min, run.input_max, strict=True)
     rows += [["plant", f"limits of {name}", f"{low:.6g} .. {high:.6g}"] for name, low, high in limits]
     rows += [["plant", name, value] for name, value in run.prior.items() if value]
