@@ -16,15 +16,15 @@ from .arrays import Array, matrix
 from .errors import PlantError
 
 # columns of MATPOWER's tables, version 2
-BUS_I, BUS_TYPE = 0, 1
-GEN_BUS, GEN_MBASE, GEN_STATUS = 0, 6, 7
+BUS_I, BUS_TYPE, PD = 0, 1, 2
+GEN_BUS, PG, GEN_MBASE, GEN_STATUS = 0, 1, 6, 7
 F_BUS, T_BUS, BR_X, TAP, BR_STATUS = 0, 1, 3, 8, 10
-ISOLATED = 4
+REFERENCE, ISOLATED = 3, 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GridCase:
-    """The part of a case that the linear lossless model needs; only what is in service.
+    """The part of a case that lossless models need; only what is in service.
 
     Attributes:
         name: short name.
@@ -32,6 +32,9 @@ class GridCase:
         machines: how many of them carry machines.
         ratings: power base of the machines at each machine bus, per unit of the system base; shape (machines,).
         branches: (i, j, b): positions in ``buses`` and susceptance b = 1 / (x tap) in per unit.
+        load: active power drawn at each bus, per unit; shape (N,).
+        generation: active power of the machines at each machine bus, as scheduled in the case; shape (machines,).
+        reference: position of the machine bus that balances the rest (type 3; the first one if the case names none).
     """
 
     name: str
@@ -39,6 +42,9 @@ class GridCase:
     machines: int
     ratings: Array
     branches: tuple[tuple[int, int, float], ...]
+    load: Array
+    generation: Array
+    reference: int
 
 
 def parse_matpower(text: str) -> dict[str, Any]:
@@ -133,21 +139,25 @@ def load_case(source: str | Path | Mapping[str, Any] | Any, name: str | None = N
         source = _read(Path(source))
     elif type(source).__module__.startswith("pandapower"):
         source = _from_pandapower(source)
-    bus = matrix(_columns(source, "bus", (BUS_I, BUS_TYPE)), "bus", (None, 2))
-    gen = _columns(source, "gen", (GEN_BUS, GEN_MBASE, GEN_STATUS))
+    bus = matrix(_columns(source, "bus", (BUS_I, BUS_TYPE, PD)), "bus", (None, 3))
+    gen = _columns(source, "gen", (GEN_BUS, PG, GEN_MBASE, GEN_STATUS))
     base = float(source.get("baseMVA", 100.0))
 
-    alive = [int(number) for number, kind in bus if kind != ISOLATED]
+    alive = [int(number) for number, kind, _ in bus if kind != ISOLATED]
     rating: dict[int, float] = {}
-    for number, mbase, status in gen:
+    power: dict[int, float] = {}
+    for number, pg, mbase, status in gen:
         if status > 0 and int(number) in alive:  # a missing mBase means the system base
             rating[int(number)] = rating.get(int(number), 0.0) + (mbase / base if mbase > 0 else 1.0)
+            power[int(number)] = power.get(int(number), 0.0) + pg / base
     if not rating:
         raise PlantError("the case has no machine in service")
     buses = [b for b in alive if b in rating] + [b for b in alive if b not in rating]
     branches = _branches(
         _columns(source, "branch", (F_BUS, T_BUS, BR_X, TAP, BR_STATUS)), {number: i for i, number in enumerate(buses)}
     )
+    drawn = {int(number): float(pd / base) for number, _, pd in bus}
+    balancing = [int(number) for number, kind, _ in bus if kind == REFERENCE]
     dead = _islands_without(len(buses), branches, len(rating))
     if dead:
         names = ", ".join(str(buses[i]) for i in dead[:8])
@@ -158,4 +168,7 @@ def load_case(source: str | Path | Mapping[str, Any] | Any, name: str | None = N
         machines=len(rating),
         ratings=np.array([rating[b] for b in buses[: len(rating)]]),
         branches=tuple(branches),
+        load=np.array([drawn[b] for b in buses]),
+        generation=np.array([power[b] for b in buses[: len(rating)]]),
+        reference=next((i for i, b in enumerate(buses[: len(rating)]) if b in balancing), 0),
     )
