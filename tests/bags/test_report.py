@@ -51,9 +51,8 @@ def faulty(make, tmp_path):
         if name == "controller/state" and message.k >= 110:
             message.mode, message.failures = ControllerState.FALLBACK, message.k - 109
     messages = [m for m in messages if not (m[0] == "inputs" and m[1].k == 70)]
-    make.write_bag(
-        tmp_path / "bag", messages, metadata={"seed": "2", "parameters": "/**/plant: {ros__parameters: {n: 3}}"}
-    )
+    settings = {"settings.yaml": b"/**/controller: {ros__parameters: {horizon: 3}}"}
+    make.write_bag(tmp_path / "bag", messages, attach=settings, metadata={"seed": "2"})
     return tmp_path / "bag"
 
 
