@@ -5,6 +5,7 @@
 
 from collections.abc import Mapping
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,14 @@ from ros2_deepc.ros.lifecycle import ManagedNode
 from ros2_deepc.ros.parameters import ConfigError, Param
 from ros2_deepc.ros.run import run_node
 
+from .describe import describe
 from .plant import Plant
+from .plant_file import load
 
 GROUP = "ros2_deepc.plants"
 
 PARAMETERS = (
-    Param("plant", "wscc9", "name of a registered plant, see `ros2-deepc plants`"),
+    Param("plant", "wscc9", "name of a registered plant (`ros2-deepc plants` lists them), or a plant's YAML file"),
     Param("options", [""], "options of the plant as KEY=VALUE strings, e.g. variant=full"),
     Param(
         "mode",
@@ -39,11 +42,13 @@ PARAMETERS = (
 
 
 def make_plant(name: str, options: Mapping[str, str]) -> Plant:
-    """Makes a registered plant.
+    """Makes a registered plant, or one from a YAML file.
 
     Raises:
         ConfigError: for an unknown name or an option that the plant does not have.
     """
+    if name.endswith((".yaml", ".yml")):
+        return _from_file(Path(name), options)
     found = {entry.name: entry for entry in entry_points(group=GROUP)}
     if name not in found:
         raise ConfigError(f"unknown plant {name!r}; there are: {', '.join(sorted(found))}")
@@ -52,6 +57,15 @@ def make_plant(name: str, options: Mapping[str, str]) -> Plant:
     except (TypeError, ValueError) as error:
         raise ConfigError(f"plant {name}: {error}") from None
     return plant
+
+
+def _from_file(path: Path, options: Mapping[str, str]) -> Plant:
+    if options:
+        raise ConfigError(f"plant {path}: a plant from a file has no options, got {', '.join(options)}")
+    try:
+        return load(path)
+    except (ValueError, OSError) as error:
+        raise ConfigError(f"plant {path}: {error}") from None
 
 
 def parse_options(options: list[str]) -> dict[str, str]:
@@ -117,6 +131,11 @@ class PlantNode(ManagedNode):
         """
         given = {row.name: row.default for row in PARAMETERS} | dict(parameters)
         return make_plant(given["plant"], parse_options(given["options"]))
+
+    @classmethod
+    def describe(cls, parameters: Mapping[str, Any]) -> str:
+        """That plant in words and numbers."""
+        return describe(cls.plant_of(parameters))
 
     @classmethod
     def info(cls, parameters: Mapping[str, Any]) -> PlantInfo:

@@ -7,6 +7,7 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,12 @@ from .bags.figure import draw
 from .bags.run import load_run
 from .bags.summary import summarize
 from .dashboard import Dashboard
-from .nodes.config import Parameters, merged, node_class, save, validate
+from .nodes.config import Parameters, merged, node_class, text_of, validate
 from .nodes.stack import Stack, running
 from .ros.parameters import ConfigError
 
+SETTINGS = "settings.yaml"  # what was asked for, also kept in the bag; a run can be repeated from it
+_STARTED = "parameters.yaml"  # what the nodes were started with: the same, with folders and readers
 _ROLES = ("recorder", "monitor", "controller", "operator", "plant")
 _SILENCE = 60.0  # [s] without any message before a run counts as stuck
 _READERS = {
@@ -72,15 +75,10 @@ def run(parameters: Parameters, options: Options, console: Console) -> dict[str,
     for role, values in parameters.items():
         node_class(role).check(values, info)
     out = _fresh(options.out)
-    parameters = merged(parameters, _READERS)
-    parameters = merged(
-        parameters,
-        {
-            "recorder": {"folder": str(out / "bag"), "metadata": _metadata(parameters)},
-            "monitor": {"log": str(out / "verdicts")},
-        },
-    )
-    save(parameters, out / "parameters.yaml")
+    (out / SETTINGS).write_text(text_of(parameters), encoding="utf-8")
+    recorder = {"folder": str(out / "bag"), "metadata": _metadata(parameters), "attach": [str(out / SETTINGS)]}
+    parameters = merged(merged(parameters, _READERS), {"recorder": recorder, "monitor": {"log": str(out / "verdicts")}})
+    (out / _STARTED).write_text(text_of(parameters), encoding="utf-8")
     try:
         _to_the_end(parameters, steps, info.name, options, console, out)
         return _harvest(out)
@@ -95,7 +93,7 @@ def _to_the_end(parameters: Parameters, steps: int, name: str, options: Options,
     with (
         running(
             _ROLES,
-            out / "parameters.yaml",
+            out / _STARTED,
             namespace=options.namespace,
             executor=options.executor,
             processes=options.processes,
@@ -156,8 +154,11 @@ def _fresh(out: Path) -> Path:
 
 
 def _metadata(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """What somebody needs to know of a run a year later; nothing of the machine."""
     plant = parameters["plant"]
-    return [f"plant={plant.get('plant', '')}", f"seed={plant.get('seed', 0)}", f"steps={plant['steps']}"]
+    facts = {"plant": plant.get("plant", ""), "seed": plant.get("seed", 0), "steps": plant["steps"]}
+    facts |= {f"version_{name}": version(name) for name in ("ros2-deepc", "numpy", "scipy", "osqp", "ros-rclpy")}
+    return [f"{name}={value}" for name, value in facts.items()]
 
 
 def _harvest(out: Path) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from ros2_deepc.nodes.config import merged, save
+from ros2_deepc.nodes.config import merged, text_of
 from ros2_deepc.nodes.stack import running
 from ros2_deepc.ros import topics
 from ros2_deepc.ros.qos import profile
@@ -75,7 +75,7 @@ def recorded(tmp_path_factory, domain_id, parameters_of):
         "operator": {"readers": 3},
         "recorder": {"folder": str(out / "bag")},
     }
-    save(merged(parameters_of("wscc9"), changes), out / "parameters.yaml")
+    (out / "parameters.yaml").write_text(text_of(merged(parameters_of("wscc9"), changes)))
     with running(ROLES, out / "parameters.yaml", namespace=ZONE, domain_id=domain_id) as stack:
         listener = Listener(context=stack.observer.context, namespace=ZONE, use_global_arguments=False)
         stack.executor.add_node(listener)

@@ -86,3 +86,71 @@ def test_a_demo_leaves_bag_figure_and_summary(deepc, tmp_path):
     assert (tmp_path / "run" / "figure.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "run" / "bag" / "metadata.yaml").exists()
     assert not (tmp_path / "run" / "FAILED").exists()
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory, domain_id):
+    """The folder of a short run."""
+    folder = tmp_path_factory.mktemp("recorded")
+    env = dict(os.environ, ROS_DOMAIN_ID=str(domain_id))
+    command = [str(COMMAND), "demo", "net3", "--steps", "120", "--out", str(folder / "run")]
+    subprocess.run(command, check=True, capture_output=True, timeout=100, env=env)
+    return folder / "run"
+
+
+def test_a_replay_through_todays_code_is_the_same_to_the_bit(deepc, recorded):
+    done = deepc("replay", recorded / "bag", "--recompute", "all")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "the same to the bit" in done.stdout
+    assert json.loads((recorded / "summary.json").read_text())["loop_hash"] in done.stdout.replace("\n", "")
+
+
+def test_a_replay_with_other_settings_names_the_first_difference(deepc, recorded, tmp_path):
+    other = tmp_path / "other.yaml"
+    other.write_text((recorded / "settings.yaml").read_text().replace("terminal: equilibrium", "terminal: none"))
+    done = deepc("replay", recorded / "bag", "--recompute", "controller", "--settings", other)
+    assert done.returncode == 1
+    assert "inputs of epoch 1 k = 100" in done.stdout.replace("\n", " ")
+    asked = deepc("replay", recorded / "bag", "--what-if", other, "--out", "both.png")
+    assert asked.returncode == 0
+    assert (tmp_path / "both.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_replay_publishes_every_message(deepc, recorded):
+    done = deepc("replay", recorded / "bag", "--rate", "0")
+    assert done.returncode == 0
+    assert "messages published" in done.stdout
+
+
+def test_report_check_export_and_layout(deepc, recorded, tmp_path):
+    assert deepc("report", recorded / "bag", "--out", "run.html").returncode == 0
+    page = (tmp_path / "run.html").read_text(encoding="utf-8")
+    assert "net3" in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert deepc("check", recorded / "bag").returncode == 0
+    assert deepc("export", recorded / "bag", "--out", "run.csv").returncode == 0
+    assert (tmp_path / "run.csv").read_text(encoding="utf-8").count("\n") == 121
+    assert deepc("layout", recorded / "bag", "--out", "run.json").returncode == 0
+    assert json.loads((tmp_path / "run.json").read_text())
+
+
+def test_plants_are_listed_and_described(deepc):
+    listed = deepc("plants")
+    assert listed.returncode == 0
+    assert "wscc9" in listed.stdout
+    assert "net3" in listed.stdout
+    one = deepc("plants", "wscc9")
+    assert "n = 12, q = 6, r = 6, s = 1" in one.stdout
+    assert "R-controllable: NO, 5 of 6, lost at lambda = 1.000000" in one.stdout
+    assert deepc("plants", "nosuch").stderr.startswith("error: unknown plant 'nosuch'")
+
+
+@pytest.mark.parametrize("command", ["replay", "report", "check", "export", "layout"])
+def test_a_bag_that_is_not_there_is_one_line(deepc, command):
+    extra = (
+        ["--recompute", "all"] if command == "replay" else ["--out", "x.csv"] if command in ("export", "layout") else []
+    )
+    done = deepc(command, "nowhere", *extra)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert done.stderr.startswith("error: ")

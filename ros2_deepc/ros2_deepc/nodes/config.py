@@ -63,31 +63,43 @@ def shipped(name: str) -> Path:
 
 
 def load(path: Path) -> Parameters:
-    """Parameters by role.
+    """Parameters by role, from a file.
 
     Raises:
         ConfigError: if the file cannot be read or does not have the form of a ROS parameter file.
     """
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return parse(path.read_text(encoding="utf-8"), str(path))
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path} is not a text file") from None
+
+
+def parse(text: str, name: str) -> Parameters:
+    """Parameters by role, from text that came from ``name``.
+
+    Raises:
+        ConfigError: if it does not have the form of a ROS parameter file.
+    """
+    try:
+        tree = yaml.safe_load(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        raise ConfigError(f"{path}{where}: not valid YAML: {getattr(error, 'problem', error)}") from None
+        raise ConfigError(f"{name}{where}: not valid YAML: {getattr(error, 'problem', error)}") from None
     parameters: Parameters = {}
     for pattern, body in (tree or {}).items() if isinstance(tree, dict) else ():
         role = str(pattern).rsplit("/", 1)[-1]
         if role not in ROLES or not isinstance(body, dict) or set(body) != {"ros__parameters"}:
             raise ConfigError(
-                f"{path}: section {pattern!r} should be one of {', '.join('/**/' + r for r in ROLES)}, "
+                f"{name}: section {pattern!r} should be one of {', '.join('/**/' + r for r in ROLES)}, "
                 "with everything under ros__parameters"
             )
-        parameters[role] = dict(body["ros__parameters"])
+        parameters[role] = dict(body["ros__parameters"] or {})
     missing = {"plant", "controller"} - set(parameters)
     if missing:
-        raise ConfigError(f"{path}: no section for {' and '.join(sorted(missing))}")
+        raise ConfigError(f"{name}: no section for {' and '.join(sorted(missing))}")
     return parameters
 
 
@@ -101,10 +113,10 @@ def validate(parameters: Parameters) -> None:
         check(role, node_class(role).parameters, values)
 
 
-def save(parameters: Mapping[str, Mapping[str, Any]], path: Path) -> None:
-    """Writes parameters by role as a ROS parameter file."""
+def text_of(parameters: Mapping[str, Mapping[str, Any]]) -> str:
+    """Parameters by role as a ROS parameter file."""
     tree = {f"/**/{role}": {"ros__parameters": dict(values)} for role, values in parameters.items()}
-    path.write_text(yaml.safe_dump(tree, sort_keys=False, default_flow_style=None), encoding="utf-8")
+    return yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
 
 
 def merged(base: Parameters, changes: Mapping[str, Mapping[str, Any]]) -> Parameters:

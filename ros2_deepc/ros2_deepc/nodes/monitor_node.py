@@ -5,6 +5,7 @@
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from ..ros import topics
 from ..ros.convert import nanoseconds, refusal
 from ..ros.diagnostics import OK, WARN, Diagnostics
 from ..ros.lifecycle import ManagedNode
-from ..ros.parameters import Param
+from ..ros.parameters import ConfigError, Param
 from ..ros.run import run_node
 
 PARAMETERS = (
@@ -37,6 +38,16 @@ PARAMETERS = (
 PROPERTIES = ("r_controllability", "c_controllability", "r_observability", "c_observability")
 
 
+def make_live(parameters: Mapping[str, Any], info: PlantInfo) -> LiveMonitor:
+    """The window of one run on a plant; the node and a replay make the same one."""
+    given = {row.name: row.default for row in PARAMETERS} | dict(parameters)
+    D = np.reshape(info.d, (len(info.output_names), len(info.input_names))) if info.d_known else None
+    prior = Prior(q=given["q"] or int(info.q), s=given["s"] or max(int(info.s), 1), n=int(info.n), D=D)
+    return LiveMonitor(
+        prior, window=given["window"], period=given["period"], noise=given["noise"], L=given["L"] or None
+    )
+
+
 class MonitorNode(ManagedNode):
     """Pairs inputs and outputs, tests the newest stretch every few samples, publishes and logs the report."""
 
@@ -46,6 +57,14 @@ class MonitorNode(ManagedNode):
         super().__init__("monitor", **kwargs)
         self.refused = 0
         self._log: BagWriter | None = None
+
+    @classmethod
+    def check(cls, parameters: Mapping[str, Any], info: PlantInfo) -> None:
+        """Whether the prior can be that of the plant."""
+        try:
+            make_live(parameters, info)
+        except ValueError as error:
+            raise ConfigError(f"monitor: {error}") from None
 
     def configure(self) -> None:
         """Opens the log and makes the topics that do not depend on the plant."""
@@ -67,14 +86,10 @@ class MonitorNode(ManagedNode):
 
     def _on_plant(self, info: PlantInfo) -> None:
         """A plant or a new epoch of it: a fresh window."""
-        D = np.reshape(info.d, (len(info.output_names), len(info.input_names))) if info.d_known else None
-        prior = Prior(q=self.p["q"] or info.q, s=self.p["s"] or max(info.s, 1), n=info.n, D=D)
         fresh, self._info = self._live is None, info
         self._stamps: deque[tuple[int, Any]] = deque(maxlen=1000)
         self._verdicts: dict[str, Verdict] = {}
-        self._live = LiveMonitor(
-            prior, window=self.p["window"], period=self.p["period"], noise=self.p["noise"], L=self.p["L"] or None
-        )
+        self._live = make_live(self.p, info)
         if fresh:
             self.subscribe(topics.INPUTS, self._on_inputs, lockstep=bool(info.lockstep))
             self.subscribe(topics.OUTPUTS, self._on_outputs, lockstep=bool(info.lockstep))

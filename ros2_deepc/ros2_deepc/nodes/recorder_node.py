@@ -18,6 +18,7 @@ from ..ros.run import run_node
 
 PARAMETERS = (
     Param("folder", "", "folder of the bag; must not exist yet"),
+    Param("attach", [""], "files to keep in the bag, e.g. the parameters of the run"),
     Param("metadata", [""], "KEY=VALUE strings to store in the bag"),
     Param(
         "idle", 0.3, "how long the topics must be silent before the bag is closed at the end", "s", low=0.0, high=60.0
@@ -55,6 +56,8 @@ class RecorderNode(ManagedNode):
         metadata = dict(text.split("=", 1) for text in filter(None, self.p["metadata"]))
         self._writer = BagWriter(Path(self.p["folder"]), metadata=metadata)
         self.resources.callback(self._close)
+        for path in map(Path, filter(None, self.p["attach"])):
+            self._writer.attach(path.name, "application/yaml", path.read_bytes())
         for topic in topics.ALL:
             tap = self.create_subscription(
                 topic.type, topic.name, self._writes(topic), _subscription_qos(topic), raw=True

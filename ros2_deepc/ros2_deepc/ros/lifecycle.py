@@ -156,8 +156,9 @@ class ManagedNode(LifecycleNode):
     def _guard(self, step: Callable[[], None]) -> TransitionCallbackReturn:
         try:
             step()
-        except (ConfigError, OSError, ValueError) as error:
-            self.fault = str(error)
+        except Exception as error:  # rclpy would turn it into an error state without a word
+            known = isinstance(error, (ConfigError, OSError, ValueError))
+            self.fault = str(error) if known else f"{type(error).__name__}: {error}"
             self.get_logger().error(self.fault)
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS

@@ -1,0 +1,134 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""`ros2-deepc replay`: a recorded run again, over topics or through today's code."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from ..bags.cores import ControllerCore, MonitorCore
+from ..bags.figure import draw
+from ..bags.reader import BagReader
+from ..bags.replay import replay as compare
+from ..bags.run import load_run
+from ..bags.whatif import what_if
+from ..control import DeepcController
+from ..demo import SETTINGS
+from ..nodes.config import Parameters, load, parse
+from ..nodes.controller_node import make_agent, settings_for, state_message
+from ..nodes.monitor_node import make_live, report_message
+from ..nodes.player import Player
+from ..ros.parameters import ConfigError
+from ..ros.run import ros
+
+_PARTS = ("controller", "monitor", "all")
+_SECONDS = 2.0  # to let readers find the player
+
+
+def replay(
+    bag: Annotated[Path, typer.Argument(help="Folder of the bag, or one .mcap file.")],
+    recompute: Annotated[
+        str, typer.Option(help="Feed the samples through today's code and compare: controller, monitor or all.")
+    ] = "",
+    settings: Annotated[Path | None, typer.Option(help="YAML of the run, if the bag does not hold its own.")] = None,
+    try_settings: Annotated[
+        Path | None, typer.Option("--what-if", help="YAML with other controller settings: what would they have done?")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="With --what-if: picture of both, e.g. both.png.")] = None,
+    rate: Annotated[
+        float, typer.Option(help="Republish at this multiple of real time; 0 = as fast as possible.", min=0)
+    ] = 1.0,
+    step: Annotated[bool, typer.Option("--step", help="Republish sample by sample, at each press of Enter.")] = False,
+    namespace: Annotated[str | None, typer.Option(help="Namespace of the plant, if the bag holds several.")] = None,
+) -> None:
+    """Replay a bag: republish it, or recompute it and compare to the bit.
+
+    With --recompute the exit code says whether all commands and verdicts came out the same; if not, the first sample
+    that differs is named, with the field and by how much.
+
+    Examples:
+      ros2-deepc replay runs/today/bag --rate 10
+      ros2-deepc replay runs/today/bag --recompute all
+      ros2-deepc replay runs/today/bag --what-if other.yaml
+    """
+    console = Console()
+    if recompute:
+        _recompute(console, bag, recompute, _settings(bag, settings), namespace)
+    elif try_settings is not None:
+        _what_if(console, bag, load(try_settings), namespace, out)
+    else:
+        _republish(console, bag, rate, step)
+
+
+def _settings(bag: Path, given: Path | None) -> Parameters:
+    if given is not None:
+        return load(given)
+    for attachment in BagReader(bag).attachments():
+        if attachment.name == SETTINGS:
+            return parse(attachment.data.decode(), f"{bag}:{SETTINGS}")
+    raise ConfigError(f"bag {bag} does not hold the settings of its run: give them with --settings FILE")
+
+
+def _recompute(console: Console, bag: Path, part: str, parameters: Parameters, namespace: str | None) -> None:
+    if part not in _PARTS:
+        raise ConfigError(f"--recompute {part}: choose one of {', '.join(_PARTS)}")
+    makers: dict[str, Any] = {
+        "controller": lambda info: ControllerCore(make_agent(parameters["controller"], info), state_message),
+        "monitor": lambda info: MonitorCore(make_live(parameters.get("monitor", {}), info), report_message),
+    }
+    cores = makers if part == "all" else {part: makers[part]}
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("replaying")
+        result = compare(
+            bag, cores, namespace=namespace, progress=lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    for topic, count in result.compared.items():
+        console.print(f"  {topic}: {count} compared")
+    for difference in result.differences:
+        console.print(f"  first difference: {difference}", soft_wrap=True, highlight=False, markup=False)
+    for topic, count in result.unmatched.items():
+        if count:
+            console.print(f"  {topic}: {count} recorded or computed only")
+    if result.loop_hash:
+        console.print(f"  loop_hash {result.loop_hash}")
+    console.print("the same to the bit" if result.same else "NOT the same")
+    if not result.same:
+        raise typer.Exit(1)
+
+
+def _what_if(console: Console, bag: Path, parameters: Parameters, namespace: str | None, out: Path | None) -> None:
+    reader = BagReader(bag)
+    run = load_run(reader, namespace)
+    info = next(message for _, message in reader.decoded([t for t in reader.topics if t.endswith("plant_info")]))
+    controller = DeepcController(run.u.shape[1], run.y.shape[1], settings_for(parameters["controller"], info))
+    answer = what_if(run, controller)
+    if answer.missing:
+        raise ConfigError(f"these settings never gave an answer on this run: {answer.missing}")
+    rows = np.flatnonzero(np.isfinite(answer.u).all(axis=1))
+    console.print(f"  {answer.solved} solved, {answer.failed} not; first answer for k = {run.k[rows[0]]}")
+    if out is not None:
+        draw(run, out, what_if=answer.u)
+        console.print(f"  picture: {out}", soft_wrap=True)
+    for name, unit, furthest in zip(run.input_names, run.input_units, answer.furthest, strict=True):
+        console.print(f"  {name}: at most {furthest:.4g} {unit} from what was applied")
+
+
+def _republish(console: Console, bag: Path, rate: float, step: bool) -> None:
+    reader = BagReader(bag)
+
+    def wait_for_enter() -> None:
+        input("Enter for the next sample ")
+
+    with ros([]) as context, Progress(console=console, transient=True, disable=step) as bar:
+        gate = wait_for_enter if step else None
+        player = Player(reader, 0.0 if step else rate, gate, context=context, use_global_arguments=False)
+        player.wait_for_readers(_SECONDS)
+        task = bar.add_task("publishing")
+        count = player.play(lambda done, total: bar.update(task, completed=done, total=total))
+        player.destroy_node()
+    console.print(f"  {count} messages published")
