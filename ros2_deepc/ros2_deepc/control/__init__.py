@@ -3,7 +3,8 @@
 """DeePC: predictor, condensed quadratic program, controller. Pure: no ROS."""
 
 from .controller import DeepcController
+from .excitation import Excitation
 from .result import NotReadyError, Status, StepResult
 from .settings import DeepcSettings
 
-__all__ = ["DeepcController", "DeepcSettings", "NotReadyError", "Status", "StepResult"]
+__all__ = ["DeepcController", "DeepcSettings", "Excitation", "NotReadyError", "Status", "StepResult"]
