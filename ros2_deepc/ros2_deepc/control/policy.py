@@ -122,7 +122,7 @@ class RunData:
             if not newest.precise and stream.refine(self._window.records()):
                 newest = stream.predictor() or newest
         except PoorDataError as error:
-            self.weak = str(error)
+            self.weak = f"the newest window determines no predictor: {error}"
             return None
         return newest
 
