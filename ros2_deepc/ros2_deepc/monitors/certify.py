@@ -162,7 +162,7 @@ def _examine(pencil: Pencil, curve: Curvature, todo: Squares, eps: float) -> tup
 def _relative(N: Complex) -> tuple[Array, Complex]:
     """Smallest singular value of each N = U S V*, and S^-1 U*."""
     left, sigma, _ = np.linalg.svd(N, full_matrices=False)
-    safe = np.maximum(sigma, np.finfo(np.float64).tiny)  # a zero in sigma fails every bound as it is
+    safe = np.maximum(sigma, 1e-100)  # a zero in sigma fails every bound as it is
     return sigma[:, -1], left.conj().transpose(0, 2, 1) / safe[:, :, None]
 
 

@@ -97,14 +97,12 @@ def estimate_structure(
         raise ValueError(f"s_max = {s_max} must be at least 1")
     source, level = from_records([(u, y)], s_max), as_noise(noise)
     best, stalled, L = StructureEstimate(), 0, 1
-    while stalled < 2:
+    while stalled < 3:
         trial = _at(source, level, L, s_max)
         if trial is None:
             break
-        stalled = stalled + 1 if trial.q <= best.q and L > 1 else 0
-        if trial.q > best.q or L == 1:
-            best = trial
-        L += 1
+        grown = (trial.q, sum(trial.rho)) > (best.q, sum(best.rho))
+        best, stalled, L = (trial, 0, L + 1) if grown else (best, stalled + 1, L + 1)
     return best
 
 

@@ -75,16 +75,27 @@ def _without_feedthrough(prior: Prior, slow: Outcome, estimate: StructureEstimat
     """With D unknown only the responses to later inputs speak of the fast part.
 
     Every fast part with these responses has r >= 2 rho_1 - rho_2. With equality it is controllable and observable;
-    without, another one with the same data, n, q and s is not.
+    without, another one with the same data, n, q and s is not. Ranks are counts above the noise, hence lower bounds;
+    with s = 2 that is enough, for rho_2 = 0.
     """
+    difference = "D is unknown and enters only as D - C2 B2"
+    if prior.s == 1:
+        blank = _blank(f"{difference}: with s = 1 no data tell the fast part from it; give D", Verdict.NOT_DECIDABLE)
+        return blank, blank
+    if slow.observability.verdict != Verdict.PROVED:
+        return slow.controllability, slow.observability
+    if not exact and prior.s > 2:
+        blank = _blank(f"{difference}: under noise and with s > 2 ranks of the fast part have no upper bound; give D")
+        return blank, blank
     rho = (*estimate.rho, 0, 0)
-    least = 2 * rho[0] - rho[1] if exact or prior.s <= 2 else 2 * rho[0]
-    if prior.s == 1 or least != prior.r or not (exact or prior.s == 2):
-        reason = (
-            f"D is unknown and enters only as D - C2 B2; the data need {least} fast states and r = {prior.r}, "
-            "so plants with and without the property share these data: give D"
-        )
-        blank = _blank(reason, Verdict.NOT_DECIDABLE)
+    least = 2 * rho[0] - rho[1] if prior.s > 2 else 2 * rho[0]
+    if least > prior.r:
+        reason = f"the data need at least {least} fast states and n - q = {prior.r}: n is too small"
+        blank = _blank(reason, Verdict.PRIOR_VIOLATED)
+        return blank, blank
+    if least < prior.r:
+        reason = f"{difference}; the data need {least} fast states and r = {prior.r}: give D"
+        blank = _blank(reason, Verdict.NOT_DECIDABLE if exact else Verdict.UNDECIDED)
         return blank, blank
     reason = (
         f"all r = {prior.r} fast states are needed to explain the data, so inputs reach and outputs see each of them"

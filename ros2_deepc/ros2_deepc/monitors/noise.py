@@ -115,5 +115,5 @@ def marchenko_pastur_median(beta: float) -> float:
     angle = (np.arange(2000) + 0.5) * np.pi / 2000  # x = middle + half cos(angle) smooths both edges
     x = (low + high) / 2 - (high - low) / 2 * np.cos(angle)
     weight = np.sin(angle) ** 2 / x
-    share = np.cumsum(weight) / np.sum(weight)
+    share = (np.cumsum(weight) - weight / 2) / np.sum(weight)
     return float(np.interp(0.5, share, x))

@@ -157,13 +157,14 @@ def reduce(data: Compression, q: int) -> Pencil:
 
     Args:
         data: compressed window with persistently exciting inputs.
-        q: directions kept, at least 1.
+        q: directions kept, at least 1; no more than the p L rows of a pencil can be.
 
     Raises:
         ValueError: if the inputs are not persistently exciting.
     """
     if data.inverse is None:
         raise ValueError(f"the inputs are not persistently exciting of order {data.d}")
+    q = min(q, data.p * data.L)
     X = data.directions[:, :q]
     top, bottom = slice(0, data.p * data.L), slice(data.p, data.p * (data.L + 1))
     left, _, _ = np.linalg.svd(np.hstack([X[top], X[bottom]]), full_matrices=False)
