@@ -41,7 +41,8 @@ def pipe_slope(link: Link, flow: float, formula: str, viscosity: float) -> float
     if formula == "HW":
         exponent, resistance = 1.852, 4.727 * length / (link.roughness**1.852 * diameter**4.871)
     else:  # Chezy-Manning
-        exponent, resistance = 2.0, 4.66 * length * link.roughness**2 / diameter**5.33
+        exponent = 2.0
+        resistance = (4 * link.roughness / (1.49 * pi * diameter**2)) ** 2 * (diameter / 4) ** -1.333 * length
     cfs = flow / FOOT**3
     return float(exponent * resistance * cfs ** (exponent - 1) / FOOT**2 + minor)
 

@@ -5,7 +5,7 @@
 import tempfile
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,8 @@ from .errors import PlantError
 
 # EPANET's own numbers for the kinds of nodes and links
 JUNCTION, RESERVOIR, TANK = 0, 1, 2
+WARNING = "EPANET warns at this hour: pressures below zero, or pumps or valves that cannot do what is asked"
+TRIALS = 500  # of EPANET's solver; the file's own limit is often too small for this accuracy
 CHECK_VALVE_PIPE, PIPE, PUMP, PRV, PSV, PBV, FCV = 0, 1, 2, 3, 4, 5, 6
 
 
@@ -107,39 +109,44 @@ def project(path: Path) -> Iterator[Any]:
                 toolkit.close(handle)
                 toolkit.deleteproject(handle)
             return
-        toolkit.close(handle)  # only now is the report complete
+        with suppress(Exception):  # what was never open cannot be closed; but only now is the report complete
+            toolkit.close(handle)
         toolkit.deleteproject(handle)
         lines = [line.strip() for line in report.read_text(errors="replace").splitlines()] if report.is_file() else []
         found = [" ".join(lines[i : i + 2]) for i, line in enumerate(lines) if line.startswith("Error")]
         raise PlantError(f"EPANET cannot read {path.name}: {'; '.join(found[:3]) or rejected}")
 
 
-def _solve(handle: Any, hour: float, name: str) -> list[str]:
-    """Runs EPANET's own schedule up to ``hour``; returns its warnings at that instant."""
+def _advance(handle: Any, target: int) -> tuple[int, bool]:
+    """Runs EPANET to ``target`` seconds; returns the time reached and whether EPANET warned there."""
     toolkit = _toolkit()
-    toolkit.setoption(handle, toolkit.ACCURACY, 1e-8)
-    toolkit.setoption(handle, toolkit.TRIALS, 500)
-    target = round(hour * 3600)
-    toolkit.settimeparam(handle, toolkit.DURATION, target)
     toolkit.openH(handle)
     toolkit.initH(handle, 0)
     while True:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            try:
-                time = toolkit.runH(handle)
-            except Exception as error:
-                raise PlantError(f"EPANET finds no steady state of {name} up to hour {hour:g}: {error}") from None
+            time = toolkit.runH(handle)
         if time >= target or toolkit.nextH(handle) <= 0:
-            break
+            return int(time), bool(caught)
+
+
+def _solve(handle: Any, hour: float, name: str) -> tuple[str, ...]:
+    """Runs EPANET's own schedule up to ``hour``; returns what EPANET warns of at that instant."""
+    toolkit = _toolkit()
+    toolkit.setoption(handle, toolkit.ACCURACY, 1e-8)
+    toolkit.setoption(handle, toolkit.TRIALS, TRIALS)
+    target = round(hour * 3600)
+    toolkit.settimeparam(handle, toolkit.DURATION, target)
+    try:
+        time, warned = _advance(handle, target)
+    except Exception as error:
+        raise PlantError(f"EPANET finds no steady state of {name} up to hour {hour:g}: {error}") from None
     if time != target:
         raise PlantError(f"{name} has no solution at hour {hour:g}: its steps lead to hour={time / 3600:.6g} instead")
     relative = toolkit.getstatistic(handle, toolkit.RELATIVEERROR)
     if not relative <= 1e-6:
         raise PlantError(f"EPANET does not converge on {name} at hour {hour:g}: relative flow change {relative:.1e}")
-    return ["EPANET warns at this hour: pressures below zero, or pumps or valves that cannot do what is asked"] * bool(
-        caught
-    )
+    return (WARNING,) if warned else ()
 
 
 def _curve(handle: Any, index: int) -> tuple[tuple[float, float], ...]:
@@ -192,11 +199,11 @@ def snapshot(path: str | Path, hour: float) -> Snapshot:
     path = Path(path)
     with project(path) as handle:
         toolkit = _toolkit()
-        complaints = _solve(handle, hour, path.name)
+        warned = _solve(handle, hour, path.name)
         nodes = tuple(_node(handle, i + 1) for i in range(toolkit.getcount(handle, toolkit.NODECOUNT)))
         links = tuple(_link(handle, i + 1) for i in range(toolkit.getcount(handle, toolkit.LINKCOUNT)))
         formula = ("HW", "DW", "CM")[int(toolkit.getoption(handle, toolkit.HEADLOSSFORM))]
         viscosity = toolkit.getoption(handle, toolkit.SP_VISCOS) * 1.02193e-6
     return Snapshot(
-        nodes=nodes, links=links, formula=formula, viscosity=viscosity, hour=hour, warnings=tuple(complaints)
+        nodes=nodes, links=links, formula=formula, viscosity=viscosity, hour=hour, warnings=warned
     )  # fmt: skip
