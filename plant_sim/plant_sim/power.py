@@ -23,16 +23,16 @@ WSCC9_EDGES = (
     (0, 3, 0.058), (1, 4, 0.063), (2, 5, 0.059), (3, 6, 0.085), (3, 7, 0.092),
     (4, 6, 0.161), (4, 8, 0.072), (5, 7, 0.170), (5, 8, 0.101),
 )  # fmt: skip
-_EACH = (np.eye(3), ("P1", "P2", "P3"), "one power injection at each machine")
-_TRANSFERS = (
+EACH_MACHINE = (np.eye(3), ("P1", "P2", "P3"), "one power injection at each machine")
+TRANSFERS = (
     np.array([[1.0, 1.0, 0.0], [-1.0, 0.0, 1.0], [0.0, -1.0, -1.0]]),
     ("P12", "P13", "P23"),
     "power transfers between machine pairs",
 )
 _WSCC9 = {
-    "full": (*_EACH, "x7", (5.0, 5.0)),
-    "transfers": (*_TRANSFERS, "c0", (5.0, 5.0)),
-    "text": (*_TRANSFERS, "x7", (5.0, 0.0)),
+    "full": (*EACH_MACHINE, "x7", (5.0, 5.0)),
+    "transfers": (*TRANSFERS, "c0", (5.0, 5.0)),
+    "text": (*TRANSFERS, "x7", (5.0, 0.0)),
 }
 
 
@@ -87,7 +87,7 @@ def wscc9(variant: str = "transfers") -> Plant:
     )
 
 
-def _machine_constants(
+def machine_constants(
     grid: GridCase, inertia: ArrayLike, damping: ArrayLike, frequency: float
 ) -> tuple[Array, Array]:  # fmt: skip
     """M = 2 H rating / (2 pi f) and D = damping * M, both shape (g,), in per unit of the system base."""
@@ -151,7 +151,7 @@ def from_case(
     """
     grid = load_case(case, name)
     n, g = len(grid.buses), grid.machines
-    M, D = _machine_constants(grid, inertia, damping, frequency)
+    M, D = machine_constants(grid, inertia, damping, frequency)
     inputs = grid.buses[:g] if inputs is None else tuple(inputs)
     unknown = [b for b in inputs if b not in grid.buses]
     if unknown:
