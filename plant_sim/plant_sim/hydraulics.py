@@ -21,13 +21,17 @@ CHECK_VALVE_PIPE, PIPE, PUMP, PRV, PSV, PBV, FCV = 0, 1, 2, 3, 4, 5, 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Node:
-    """A junction, reservoir or tank; elevation and head in m, area in m2 (0 unless a tank)."""
+    """A junction, reservoir or tank; elevation and head in m, area in m2 (0 unless a tank).
+
+    ``relief`` is how much the outflow grows with the head [m2/s]: emitters, leaks, pressure-driven demands.
+    """
 
     name: str
     kind: int
     elevation: float
     head: float
     area: float
+    relief: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,6 +181,21 @@ def _link(handle: Any, index: int) -> Link:
     return Link(**common, **pipe, diameter=value("DIAMETER") / 1000, minor_loss=value("MINORLOSS"))
 
 
+def _relief(handle: Any, index: int) -> float:
+    """Slope of emitter flow C p^e and of a demand D ((p - p0) / (p1 - p0))^e at the present pressure p [m2/s]."""
+    toolkit = _toolkit()
+    pressure = toolkit.getnodevalue(handle, index, toolkit.PRESSURE)
+    relief = 0.0
+    if pressure > 0:
+        flow = toolkit.getnodevalue(handle, index, toolkit.EMITTERFLOW)
+        relief += toolkit.getoption(handle, toolkit.EMITEXPON) * flow / pressure
+    model, least, enough, exponent = toolkit.getdemandmodel(handle)
+    if model == toolkit.PDA and least < pressure < enough:
+        delivered = toolkit.getnodevalue(handle, index, toolkit.DEMANDFLOW)
+        relief += exponent * delivered / (pressure - least)
+    return float(relief)
+
+
 def _node(handle: Any, index: int) -> Node:
     toolkit = _toolkit()
     kind = toolkit.getnodetype(handle, index)
@@ -186,6 +205,7 @@ def _node(handle: Any, index: int) -> Node:
         kind=kind,
         elevation=toolkit.getnodevalue(handle, index, toolkit.ELEVATION),
         head=toolkit.getnodevalue(handle, index, toolkit.HEAD),
+        relief=_relief(handle, index) if kind == JUNCTION else 0.0,
         area=3.141592653589793 * diameter**2 / 4,
     )
 

@@ -126,6 +126,7 @@ def head_model(network: Snapshot, first: Sequence[str] = ()) -> HeadModel:
             i, j = position[link.ends[0]], position[link.ends[1]]
             flow[[i, j], [i, j]] -= g
             flow[[i, j], [j, i]] += g
+    flow[np.diag_indices(len(nodes))] -= [node.relief for node in nodes]
     carry = np.eye(len(nodes))
     for node in held:
         end, seen = held[node], {node}

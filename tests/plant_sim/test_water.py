@@ -221,6 +221,20 @@ def test_valves_agree_with_epanet(tmp_path, valve):
         agree(path, 0, "J1", inject("J1"), 2e-3)
 
 
+@pytest.mark.parametrize(
+    ("option", "section"),
+    [
+        ("Emitter Exponent 0.6", "[EMITTERS]\n J3 2"),
+        ("Demand Model PDA\n Required Pressure 60\n Pressure Exponent 0.5", ""),
+    ],
+)
+def test_pressure_dependent_outflow_agrees_with_epanet(tmp_path, option, section):
+    path = town(tmp_path)
+    path.write_text(path.read_text().replace("[OPTIONS]", f"{section}\n[OPTIONS]\n {option}"))
+    assert sum(node.relief > 0 for node in snapshot(path, 0).nodes) == (1 if section else 4)
+    agree(path, 0, "pump:U", speed_up("U"), 2e-3)
+
+
 def test_valve_that_holds_a_head_passes_the_injection_on(tmp_path):
     path = town(tmp_path, valve="PRV 20")
     plant = from_inp(path, 0, inputs=["J4", "J2"], outputs=["J4", "J2", "T"], tau=60.0)
