@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Prints the requirements of one extra of pyproject.toml, one a line: installing them alone does not rebuild the package."""
+"""Prints the requirements of one extra, one a line: installing them alone does not rebuild the package."""
 
 import sys
 import tomllib

@@ -4,12 +4,12 @@
 """From samples to inputs: excite until the data describe the plant, then control it. The controller node wraps it."""
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .controller import DeepcController
+from .modes import Mode, Safety, refusal
 from .reference import ReferenceSchedule
 from .result import Status, StepResult
 from .settings import DeepcSettings
@@ -17,17 +17,7 @@ from .settings import DeepcSettings
 Array = NDArray[np.float64]
 
 _EXCITATION_STREAM = 1  # the plant's own randomness is stream 0 of the same seed
-
-
-class Mode(IntEnum):
-    """What the controller is doing; the numbers are those of deepc_msgs/ControllerState."""
-
-    IDLE = 0
-    COLLECTING = 1
-    CONTROLLING = 2
-    HOLDING = 3
-    FALLBACK = 4
-    SHADOW = 5
+_KEPT = 1000  # commanded inputs that are remembered: how long a plant may hold one and still be understood
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,15 +26,15 @@ class Decision:
 
     Attributes:
         k: index of the newest outputs used.
-        u: the next undecided input, u(k+s), shape (m,).
+        u: the next undecided input, u(k+s), shape (m,); None when none is to be published.
         mode: what the controller is doing.
         reason: one line on why.
         reference: reference that holds at k, shape (p,), or None.
-        result: the optimisation behind u, or None while collecting.
+        result: the optimisation behind u, or None.
     """
 
     k: int
-    u: Array
+    u: Array | None
     mode: Mode
     reason: str
     reference: Array | None
@@ -59,57 +49,195 @@ class Agent:
         p: number of outputs.
         settings: of the controller; ``u_min`` and ``u_max`` must be finite, they bound the excitation.
         seed: of the excitation.
+        safety: when to give up, and what to do then.
 
     Raises:
         ValueError: if the settings cannot work (the message says what would).
     """
 
-    def __init__(self, m: int, p: int, settings: DeepcSettings, seed: int) -> None:
+    def __init__(self, m: int, p: int, settings: DeepcSettings, seed: int, safety: Safety | None = None) -> None:
         self.controller = DeepcController(m, p, settings)
         self.references = ReferenceSchedule(p)
-        self.settings = settings
+        self.safety = safety or Safety()
+        self.mode = Mode.COLLECTING
         self.failures = 0
+        """Samples in control without a solved optimisation."""
+        self.lost = 0
+        """Samples that never came, or whose input is not known."""
         self._m = m
-        self._low = np.broadcast_to(np.asarray(settings.u_min, dtype=np.float64), (m,))
-        self._high = np.broadcast_to(np.asarray(settings.u_max, dtype=np.float64), (m,))
+        self._low, self._high, self._safe = (
+            np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (m,)))
+            for value in (settings.u_min, settings.u_max, settings.u_safe)
+        )
         if not (np.isfinite(self._low).all() and np.isfinite(self._high).all()):
             raise ValueError("excitation needs finite input limits: give u_min and u_max")
         self._rng = np.random.Generator(np.random.PCG64([seed, _EXCITATION_STREAM]))
-        self._inputs: list[Array] = []
+        self._commands: dict[int, Array] = {}
+        self._next: int | None = None  # outputs expected next
+        self._aligned = False  # the controller knows the inputs that follow its last sample
+        self._rich = False  # the data have sufficed before
+        self._in_a_row = 0  # optimisations that failed, the last ones
+        self._held = 0  # samples in HOLDING, the last ones
+        self._why = ""  # of a latched fallback
+        self._ramp: tuple[Array, int] | None = None  # input at the start of the fallback, samples since
+
+    @property
+    def settings(self) -> DeepcSettings:
+        """The controller's settings."""
+        return self.controller.settings
 
     def start(self) -> list[Array]:
         """The inputs u(0), ..., u(s-1) that must be known before outputs 0 can exist; each (m,)."""
-        return [self._next(self._excite()) for _ in range(max(self.settings.s, 1))]
+        return [self._command(k, self._excite()) for k in range(self.settings.s)]
 
-    def step(self, k: int, y: ArrayLike) -> Decision:
+    def step(self, k: int, y: ArrayLike, held: int = 0) -> Decision:
         """Takes outputs k and decides u(k+s).
 
         Args:
-            k: index of the outputs, one more than the last.
+            k: index of the outputs, above that of the last ones.
             y: outputs, shape (p,).
+            held: the plant used the input commanded ``held`` samples earlier for u(k+s-1), the newest that y(k) sees.
         """
-        self.controller.observe(self._inputs[k], y)
-        result, mode = None, Mode.COLLECTING
+        self._take(k, y, held)
+        self._next = k + 1
+        result = None
         target = self.references.at(k + 1)
-        if not self.controller.ready:
-            u, reason = self._excite(), self.controller.missing()
+        if self.mode is Mode.FALLBACK:
+            reason = self._why
+        elif lacking := self.controller.missing():
+            reason = self._wait(lacking)
         elif target is None:
-            u, reason = self._excite(), "the data suffice, but no reference was given"
+            reason = "the data suffice, but no reference was given"
         else:
-            result, mode = self.controller.step(target), Mode.CONTROLLING
-            u, reason = result.u, result.reason
-            self.failures += result.status in (Status.SHIFTED_PLAN, Status.FALLBACK)
-        self._next(u)
-        reference = self.references.at(k)
-        return Decision(k=k, u=u, mode=mode, reason=reason, reference=reference, result=result)
+            result = self.controller.step(target)
+            reason = self._judge(result)
+        u = self._choose(k, result)
+        return Decision(k=k, u=u, mode=self.mode, reason=reason, reference=self.references.at(k), result=result)
+
+    def overhear(self, k: int, u: ArrayLike) -> None:
+        """Somebody else commanded input k, shape (m,); in SHADOW these are the inputs that act."""
+        self._commands[k] = np.array(u, dtype=np.float64)
+
+    def tune(self, **changes: object) -> None:
+        """Changes settings of the controller that need no new data, from the next sample on.
+
+        Raises:
+            ValueError: if one cannot change while running, or does not fit; nothing is then changed.
+        """
+        self.controller.tune(**changes)
 
     def prepare(self) -> None:
         """Does the work of the next step that does not need its sample; call it once the command is out."""
         self.controller.prepare()
 
-    def _next(self, u: Array) -> Array:
-        self._inputs.append(u)
-        self.controller.commit(u)
+    def silence(self, samples: int) -> str:
+        """The plant has been silent for some samples: falls back when that is too long.
+
+        Returns:
+            Why it fell back, in one line; empty if it did not, or had done so before.
+        """
+        if samples <= self.safety.max_gap or self.mode in (Mode.FALLBACK, Mode.SHADOW):
+            return ""
+        return self._fall_back(f"no outputs for {samples} samples, more than {self.safety.max_gap} are not bridged")
+
+    def request(self, wanted: int) -> str:
+        """An operator asks for a mode; see `modes.REQUESTS`.
+
+        Returns:
+            Why not, in one line; empty if the mode is taken.
+        """
+        if why := refusal(self.mode, wanted):
+            return why
+        mode = Mode(wanted)
+        if mode is Mode.FALLBACK:
+            self._fall_back("an operator asked for it")
+            return ""
+        if mode is Mode.COLLECTING:
+            self.controller.reset()
+            self._next, self._aligned, self._rich = None, False, False
+        lacking = self.controller.missing() if mode is Mode.CONTROLLING else ""
+        if lacking and not self._rich:
+            return f"not ready to control: {lacking}"
+        self.mode = Mode.HOLDING if lacking else mode
+        self._in_a_row, self._held, self._why, self._ramp = 0, 0, "", None
+        return ""
+
+    # Inside
+
+    def _take(self, k: int, y: ArrayLike, held: int) -> None:
+        """Gives the sample to the controller; where anything is missing, a new record begins."""
+        s = self.settings.s
+        newest = k + s - 1
+        applied = self._commands.get(newest - held)
+        gap = 0 if self._next is None else k - self._next
+        known = applied is not None and all(j in self._commands for j in range(k, newest))
+        if gap or not known:
+            self.lost += gap + (not known)
+            self.controller.cut()
+            self._aligned = False
+            if gap > self.safety.max_gap and self.mode in (Mode.CONTROLLING, Mode.HOLDING):
+                self._fall_back(f"{gap} samples were lost at once, more than {self.safety.max_gap} are not bridged")
+        if not known:
+            return
+        assert applied is not None  # known says so
+        self._commands[newest] = applied
+        for j in [newest] if self._aligned else range(k, newest + 1):
+            self.controller.commit(self._commands[j])
+        self.controller.observe(self._commands[k], y)
+        self._aligned = True
+
+    def _wait(self, lacking: str) -> str:
+        """What was in control holds until the past is known again, but not for ever."""
+        if self.mode is Mode.CONTROLLING:
+            self.mode, self._held = Mode.HOLDING, 0
+        if self.mode is not Mode.HOLDING:
+            return lacking
+        self._held += 1
+        if self._held > self.safety.max_hold:
+            return self._fall_back(f"held for {self._held} samples, still {lacking}")
+        return lacking
+
+    def _judge(self, result: StepResult) -> str:
+        """Counts failures, and moves into control or out of it."""
+        failed = result.status in (Status.SHIFTED_PLAN, Status.FALLBACK)
+        self.failures += failed
+        self._in_a_row = self._in_a_row + 1 if failed else 0
+        if self._in_a_row > self.safety.max_failures:
+            return self._fall_back(f"{self._in_a_row} optimisations in a row were not solved: {result.reason}")
+        self._rich = True
+        if self.mode is not Mode.SHADOW:
+            self.mode = Mode.CONTROLLING
+        return result.reason
+
+    def _fall_back(self, why: str) -> str:
+        self.mode, self._why, self._ramp = Mode.FALLBACK, why, None
+        return why
+
+    def _choose(self, k: int, result: StepResult | None) -> Array | None:
+        """The input u(k+s) for the mode the sample ended in."""
+        ahead = k + self.settings.s
+        last = self._commands.get(ahead - 1)
+        if self.mode is Mode.SHADOW or (self.mode is Mode.FALLBACK and self.safety.fallback == "release"):
+            return None
+        if self.mode is Mode.FALLBACK:
+            return self._command(ahead, self._retreat(self._safe if last is None else last))
+        if self.mode is Mode.CONTROLLING and result is not None:
+            return self._command(ahead, result.u)
+        if self.mode is Mode.HOLDING and last is not None:
+            return self._command(ahead, last)
+        return self._command(ahead, self._excite())
+
+    def _retreat(self, last: Array) -> Array:
+        """The fallback's next input: the last one again, or a step of the ramp to the safe one."""
+        if self.safety.fallback == "hold":
+            return last
+        begin, done = self._ramp or (last, 0)
+        self._ramp = (begin, min(done + 1, self.safety.ramp))
+        return begin + (self._safe - begin) * (self._ramp[1] / self.safety.ramp)
+
+    def _command(self, k: int, u: Array) -> Array:
+        self._commands[k] = u
+        self._commands.pop(k - _KEPT, None)
         return u
 
     def _excite(self) -> Array:

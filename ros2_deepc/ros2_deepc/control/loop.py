@@ -50,6 +50,7 @@ def run_loop(agent: Agent, plant: Stepper, steps: int) -> Loop:
             continue
         decisions.append(agent.step(len(outputs), y))
         outputs.append(y)
-        inputs.append(decisions[-1].u)
+        u = decisions[-1].u
+        inputs.append(inputs[-1] if u is None else u)  # a plant holds what it has
         agent.prepare()
     return Loop(np.array(inputs[:pushed]), np.array(outputs), decisions)
