@@ -126,7 +126,9 @@ class Gateway:
         if self.supervisor.runs != self._runs:
             self._runs = self.supervisor.runs
             self._new_epoch()
-        if self.state is not State.RUN:
+        if self.state is State.RUN:
+            self.round_trip.learn()
+        else:
             self._drop_pending()
         if self.state is State.FALLBACK and self._fallback_from is None:
             self._fallback_from = self.applied.copy()
@@ -279,7 +281,7 @@ class Gateway:
         if policy.policy != "ramp" or start is None or now - self._ramped_at < 0.9 * self.tags.period:
             return None
         share = min(1.0, (now - self.supervisor.since) / policy.ramp) if policy.ramp > 0 else 1.0
-        values = self._safe if share == 1.0 else start + share * (self._safe - start)
+        values: Array = self._safe if share == 1.0 else start + share * (self._safe - start)
         values = np.minimum(np.maximum(values, self._limits[0]), self._limits[1])
         if (values == self.applied).all():
             return None

@@ -116,6 +116,11 @@ class Block:
     address: int
     count: int
 
+    def covers(self, other: "Block") -> bool:
+        """Whether all registers of another block are in this one."""
+        same = (self.table, self.unit_id) == (other.table, other.unit_id)
+        return same and self.address <= other.address and other.address + other.count <= self.address + self.count
+
 
 def blocks(spans: Iterable[Block], largest: int, *, bridge: int = 0) -> list[Block]:
     """The fewest requests, in order of address, that cover all spans; no span is torn.

@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What every protocol offers to the engine, and how one is chosen."""
+
+from importlib import import_module
+from typing import Any, Protocol
+
+from .assemble import Scan
+from .errors import GatewayError, MissingExtraError
+from .tags import Array, TagMap
+
+_MODULES = {"modbus": ("modbus_link", "ModbusLink"), "opcua": ("opcua_link", "OpcuaLink")}
+_EXTRAS = {"modbus": ("modbus", "pymodbus"), "opcua": ("opcua", "asyncua")}
+
+
+class Link(Protocol):
+    """A connection to one field device. All methods run in the engine's event loop and raise LinkError when they fail.
+
+    Attributes:
+        atomic: whether one ``read`` is one request, so that its values belong together.
+    """
+
+    atomic: bool
+
+    async def connect(self) -> None:
+        """Connects; tags that do not exist are an error here."""
+
+    async def read(self) -> Scan:
+        """Reads every tag once."""
+
+    async def write(self, raw: Array) -> None:
+        """Writes raw numbers in the order of ``TagMap.writes``; NaN = leave alone."""
+
+    async def close(self) -> None:
+        """Disconnects; never fails, may be called twice."""
+
+
+def make_link(tags: TagMap) -> Link:
+    """The link that a tag map asks for; ROS topics need the node and are made there.
+
+    Raises:
+        MissingExtraError: if the protocol's package is not installed.
+        GatewayError: if the protocol cannot be used from here.
+    """
+    if tags.kind not in _MODULES:
+        raise GatewayError(f"{tags.file}: a link of kind {tags.kind} works inside the gateway's node only")
+    module, name = _MODULES[tags.kind]
+    try:
+        factory: Any = getattr(import_module(f".{module}", __package__), name)
+    except ModuleNotFoundError as error:
+        if error.name and error.name.startswith("ros2_deepc"):
+            raise
+        raise MissingExtraError(*_EXTRAS[tags.kind]) from None
+    link: Link = factory(tags)
+    return link
