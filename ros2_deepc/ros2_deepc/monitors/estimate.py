@@ -66,9 +66,10 @@ def first(holds: Callable[[int], bool], last: int) -> int:
 
 def excitation(source: Source, at_most: int) -> int:
     """Order of persistency of excitation of the inputs, all records together, up to `at_most`."""
-    if source.exciting(at_most):
-        return at_most
-    return first(lambda order: not source.exciting(order), at_most) - 1
+    highest = first(lambda order: not source.wide(order), at_most + 1) - 1
+    if source.exciting(highest):
+        return highest
+    return first(lambda order: not source.exciting(order), highest) - 1
 
 
 def estimate_structure(

@@ -97,27 +97,29 @@ class Pencil:
         """Rows of N."""
         return int(self.X1.shape[0])
 
+    def value(self, at: Points) -> Complex:
+        """N at each point, shape (k, q, m+q)."""
+        v, _ = _powers(at, self.M.shape[0])
+        C = np.asarray(np.linalg.qr(_contract(v, self.M), mode="r"))
+        F = _shifted(_contract(v, self.J1), _contract(v, self.J0), at)
+        return np.concatenate([F @ np.linalg.inv(C), _shifted(self.X1, self.X0, at)], axis=2)
+
     def evaluate(self, at: Points) -> Values:
         """N, its derivative and the size of its normalisation at each point."""
-        d = self.M.shape[0]
         k, q = at.t.size, self.q
-        t, flip = at.t[:, None], at.outer[:, None]
-        power = np.where(flip, d - 1 - np.arange(d), np.arange(d))
-        v = t**power
-        both = np.concatenate([v, power * t ** np.maximum(power - 1, 0)])  # n and its derivative
-        n = _contract(both, self.M)
+        both = np.concatenate(_powers(at, self.M.shape[0]))  # n and its derivative
+        n, F1, F0 = (_contract(both, T) for T in (self.M, self.J1, self.J0))
         Q, C = np.linalg.qr(n[:k])
-        F1, F0 = _contract(both, self.J1), _contract(both, self.J0)
-        c1, c0 = np.where(flip, t, 1)[..., None], np.where(flip, 1, t)[..., None]  # pencil c1 S1 - c0 S0
-        own = np.where(flip[..., None], F1[:k], -F0[:k])  # from the derivative of (c1, c0)
         Cinv = np.linalg.inv(C)
-        stack = np.concatenate([c1 * F1[:k] - c0 * F0[:k], c1 * F1[k:] - c0 * F0[k:] + own, n[k:]], axis=1) @ Cinv
+        outer = at.outer[:, None, None]
+        own = np.where(outer, F1[:k], -F0[:k])  # the derivative of the shift itself
+        rows = [_shifted(F1[:k], F0[:k], at), _shifted(F1[k:], F0[k:], at) + own, n[k:]]
+        stack = np.concatenate(rows, axis=1) @ Cinv
         value, response, turn = stack[:, :q], stack[:, q : 2 * q], stack[:, 2 * q :]
         tilt = Q.conj().transpose(0, 2, 1) @ turn
-        dX = np.where(flip[..., None], self.X1, -self.X0)
         return Values(
-            N=np.concatenate([value, c1 * self.X1 - c0 * self.X0], axis=2),
-            rate=np.concatenate([response - value @ tilt, dX], axis=2),
+            N=np.concatenate([value, _shifted(self.X1, self.X0, at)], axis=2),
+            rate=np.concatenate([response - value @ tilt, np.where(outer, self.X1, -self.X0)], axis=2),
             response=response,
             spread=norms(turn),
             tilt=norms(tilt),
@@ -133,8 +135,25 @@ class Pencil:
     def singular_values(self, lam: Complex) -> Array:
         """Singular values of N over the weight at each lambda (inf allowed), shape (k, q), largest first."""
         at = Points.of(lam)
-        sigma = np.asarray(np.linalg.svd(self.evaluate(at).N, compute_uv=False))
+        sigma = np.asarray(np.linalg.svd(self.value(at), compute_uv=False))
         return sigma / self.weight(at.t)[:, None]
+
+
+def _powers(at: Points, d: int) -> tuple[Complex, Complex]:
+    """Blocks of n at each point, t^j in the inner chart and t^(d-1-j) in the outer one, and their derivatives; (k, d)."""
+    v = np.ones((at.t.size, d), dtype=np.complex128)
+    v[:, 1:] = at.t[:, None]
+    np.cumprod(v, axis=1, out=v)
+    rate = np.zeros_like(v)
+    rate[:, 1:] = np.arange(1, d) * v[:, :-1]
+    outer = at.outer[:, None]
+    return np.where(outer, v[:, ::-1], v), np.where(outer, rate[:, ::-1], rate)
+
+
+def _shifted(later: Complex | Array, earlier: Complex | Array, at: Points) -> Complex:
+    """Later - t earlier in the inner chart, t later - earlier in the outer one."""
+    t, outer = at.t[:, None, None], at.outer[:, None, None]
+    return np.where(outer, t, 1) * later - np.where(outer, 1, t) * earlier
 
 
 def norms(A: Complex) -> Array:

@@ -15,9 +15,9 @@ from .pencil import Complex, Pencil, Points
 _RINGS = np.concatenate(
     [[0], 0.6 * np.exp(2j * np.pi * np.arange(5) / 5), np.exp(1j * np.pi * np.arange(13) / 12), [np.inf]]
 )
-"""Extra starts. Data are real, so kappa is symmetric about the real axis and the upper half of the circle will do."""
+"""Extra starts."""
 
-_STARTS = 6
+_STARTS = 5
 _STEPS = 12
 
 
@@ -53,7 +53,8 @@ def minimum(pencil: Pencil) -> Minimum:
     starts = np.concatenate([modes, _RINGS])
     kappa = pencil.singular_values(starts)[:, -1]
     strengths = kappa[: modes.size]
-    lam, sigma = refine(pencil, starts[np.argsort(kappa)[:_STARTS]])
+    once = starts.imag >= 0  # data are real: kappa is the same at conjugate lambda
+    lam, sigma = refine(pencil, starts[once][np.argsort(kappa[once])[:_STARTS]])
     lowest = int(np.argmin(sigma[:, -1]))
     return Minimum(complex(lam[lowest]), sigma[lowest], modes, strengths)
 

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ros2_deepc.behavior import Record, data_matrix
+from ros2_deepc.behavior import Record, data_matrix, hankel
 from ros2_deepc.behavior.hankel import as_signal
 
 from .compress import Array, Compression, compress, excites, triangle
@@ -41,6 +41,9 @@ class Source(Protocol):
 
     def window(self, L: int, d: int, past: int = 0) -> Compression:
         """Compresses [H_d(u); H_{L+1}(y)], with `past` block rows of inputs before them as instruments if positive."""
+
+    def wide(self, order: int) -> bool:
+        """Whether there are as many columns of inputs as rows at that order: the first need of excitation."""
 
     def exciting(self, order: int) -> bool:
         """Whether the inputs are persistently exciting of that order, all records together."""
@@ -93,12 +96,15 @@ class Records:
         pieces = [Records((r,), self.u_scale, self.y_scale).columns(L, d, past) for r in self.records]
         return compress(W, self.m, self.p, L, W.shape[1], rows, pieces)
 
+    def wide(self, order: int) -> bool:
+        """Whether there are as many columns of inputs as rows at that order."""
+        return sum(max(0, len(r.u) - order + 1) for r in self.records) >= self.m * order
+
     def exciting(self, order: int) -> bool:
         """Whether the inputs are persistently exciting of that order, all records together."""
-        if order < 1:
-            return True
-        H = data_matrix([Record(r.u, np.empty((len(r.u), 0))) for r in self.records], order, 1)
-        return H.shape[1] >= H.shape[0] and excites(triangle(H))
+        if order < 1 or not self.wide(order):
+            return order < 1
+        return excites(triangle(np.hstack([hankel(r.u, order) for r in self.records if len(r.u) >= order])))
 
     def without_feedthrough(self, D: Array) -> Records:
         """The same data with y - D u for y."""
@@ -149,13 +155,15 @@ class Factor:
         W = np.concatenate([inputs.reshape(d * self.m, -1), outputs.reshape((L + 1) * self.p, -1)])
         return compress(W, self.m, self.p, L, self.held)
 
+    def wide(self, order: int) -> bool:
+        """Whether there are as many columns of inputs as rows at that order; never beyond the depth of the factor."""
+        return order <= len(self.F) and self.F.shape[2] >= order * self.m
+
     def exciting(self, order: int) -> bool:
-        """Whether the inputs are persistently exciting of that order; never beyond the depth of the factor."""
-        rows = order * self.m
-        if order > len(self.F) or self.F.shape[2] < rows:
-            return False
-        H = self.F[:order, : self.m].reshape(rows, -1)
-        return order < 1 or excites(triangle(H))
+        """Whether the inputs are persistently exciting of that order."""
+        if order < 1 or not self.wide(order):
+            return order < 1
+        return excites(triangle(self.F[:order, : self.m].reshape(order * self.m, -1)))
 
     def without_feedthrough(self, D: Array) -> Factor:
         """The same data with y - D u for y."""
