@@ -140,7 +140,7 @@ class Pencil:
 
 
 def _powers(at: Points, d: int) -> tuple[Complex, Complex]:
-    """Blocks of n at each point, t^j in the inner chart and t^(d-1-j) in the outer one, and their derivatives; (k, d)."""
+    """Blocks of n at each point, t^j in the inner and t^(d-1-j) in the outer chart, and their derivatives; (k, d)."""
     v = np.ones((at.t.size, d), dtype=np.complex128)
     v[:, 1:] = at.t[:, None]
     np.cumprod(v, axis=1, out=v)
@@ -153,7 +153,7 @@ def _powers(at: Points, d: int) -> tuple[Complex, Complex]:
 def _shifted(later: Complex | Array, earlier: Complex | Array, at: Points) -> Complex:
     """Later - t earlier in the inner chart, t later - earlier in the outer one."""
     t, outer = at.t[:, None, None], at.outer[:, None, None]
-    return np.where(outer, t, 1) * later - np.where(outer, 1, t) * earlier
+    return np.asarray(np.where(outer, t, 1) * later - np.where(outer, 1, t) * earlier, dtype=np.complex128)
 
 
 def norms(A: Complex) -> Array:
