@@ -20,8 +20,8 @@ CHUNK = 3000
 def whole(make, tmp_path_factory):
     """A finished bag of many small chunks, its messages, and where each chunk lies in the file."""
     folder = tmp_path_factory.mktemp("whole") / "bag"
-    u, y, ref = make.simulate(120, 3, 60)
-    make.write_bag(folder, make.run_messages(u, y, ref, 60), chunk_size=CHUNK, metadata={"seed": "3"})
+    u, y, ref = make.simulate(60, 3, 30)
+    make.write_bag(folder, make.run_messages(u, y, ref, 30), chunk_size=CHUNK, metadata={"seed": "3"})
     chunks = read_summary(folder / "bag_0.mcap").chunk_indexes
     ends = [(c.chunk_start_offset, c.chunk_start_offset + c.chunk_length) for c in chunks]
     return folder, list(BagReader(folder).messages()), ends
@@ -78,7 +78,7 @@ def test_hardly_anything_left(whole, tmp_path, position):
     assert not reader.complete
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", range(40))
 def test_one_flipped_bit_never_changes_a_message(whole, tmp_path, seed):
     """Of every chunk either all messages come back as they were, or none, and then the loss is stated."""
     folder, messages, ends = whole
@@ -100,7 +100,7 @@ def test_one_flipped_bit_never_changes_a_message(whole, tmp_path, seed):
     without = [m for i, part in enumerate(parts) if i not in hit for m in part]
     assert found in (messages, without)
     assert len(found) == len(messages) or saved.findings
-    if len(found) != len(messages):
+    if len(found) != len(messages):  # then reading through the index finds the damage, too
         assert not check(broken).ok
         with pytest.raises(BagError, match="damaged inside"):
             list(BagReader(broken).messages())

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from mcap.records import Attachment, Channel, Message, Schema
+from mcap.records import Channel, Message, Schema
 
 from .decode import decoder
 from .errors import BagError
@@ -132,7 +132,7 @@ def repair(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Check:
                 bag.add_topic(topic.name, topic.type, qos or [], topic.type_hash, topic.definition)
             bag.write(topic.name, message.data, message.log_time, message.publish_time)
             saved.messages += 1
-        for attachment in _attachments(Path(path)):
+        for attachment in source.attachments():
             bag.attach(attachment.name, attachment.media_type, attachment.data, attachment.log_time)
     return saved
 
@@ -157,11 +157,6 @@ def _walk(path: Path) -> Iterator[Damage | tuple[TopicInfo, Message]]:
                     yield Damage(record.offset, record.size, f"{file.name}: {record.reason}")
         if orphans:
             yield Damage(0, 0, f"{file.name}: {orphans} messages of topics whose description is lost")
-
-
-def _attachments(path: Path) -> Iterator[Attachment]:
-    for file in bag_files(path):
-        yield from (r for r in scan(file) if isinstance(r, Attachment))
 
 
 def _compare_index(folder: Path, counts: dict[str, int], found: Check) -> None:
@@ -274,4 +269,4 @@ _NOTES = frozenset({"new epoch", "input held", "controller refused samples", "op
 
 
 def _nanoseconds(stamp: Any) -> int:
-    return stamp.sec * 10**9 + stamp.nanosec
+    return int(stamp.sec * 10**9 + stamp.nanosec)

@@ -25,7 +25,8 @@ def message_class(name: str) -> type[Any]:
     """
     package, *_, kind = name.split("/")
     try:
-        return getattr(import_module(f"{package}.msg"), kind)
+        found: type[Any] = getattr(import_module(f"{package}.msg"), kind)
+        return found
     except (ImportError, AttributeError) as error:
         raise BagError(f"message type {name} is not installed: {error}") from error
 
@@ -37,7 +38,7 @@ def type_name(message_type: type[Any]) -> str:
 
 def to_cdr(message: Any) -> bytes:
     """Serializes a ROS message to the bytes that go over the wire."""
-    data = serialize_message(message)  # its length is an estimate: the tail may hold bytes of no meaning
+    data = bytes(serialize_message(message))  # its length is an estimate: the tail may hold bytes of no meaning
     name = type_name(type(message))
     return data[: decoder(name, message_definition(name)).size(data)]
 

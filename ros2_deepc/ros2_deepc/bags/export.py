@@ -4,6 +4,7 @@
 
 import csv
 import os
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -78,8 +79,7 @@ def _plain(column: list[object] | NDArray[np.generic]) -> list[object]:
 
 def _parquet(run: Run, path: Path) -> None:
     try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
+        pa, pq = import_module("pyarrow"), import_module("pyarrow.parquet")
     except ImportError:
         raise BagError("Parquet needs pyarrow: pip install pyarrow") from None
     facts = {

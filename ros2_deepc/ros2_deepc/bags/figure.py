@@ -4,6 +4,7 @@
 
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -17,11 +18,12 @@ from .run import MODES, NO_MODE, PROPERTIES, VERDICTS, Array, Run
 from .stretches import stretches, thin
 from .style import INK, INPUTS, MODE, MUTED, OUTPUT, PROPERTY, REFERENCE, RULE, VERDICT
 
-_STYLE = {
+_STYLE: Any = {
     "font.family": "DejaVu Sans", "font.size": 11, "axes.edgecolor": RULE, "axes.labelcolor": INK, "text.color": INK,
     "xtick.color": MUTED, "ytick.color": MUTED, "axes.spines.top": False, "axes.spines.right": False,
     "axes.linewidth": 0.8, "hatch.linewidth": 0.6, "hatch.color": "#9aa0a6", "axes.titlesize": 11,
 }  # fmt: skip
+_INCHES = (12.8, 7.2)
 MAX_PANELS = 4  # outputs with a panel of their own; more share one
 
 
@@ -35,7 +37,7 @@ def draw(run: Run, path: str | os.PathLike[str], *, title: str = "", what_if: Ar
         what_if: inputs of another controller, shape (K, m), NaN where it has none; drawn over the recorded ones.
     """
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(12.8, 7.2), dpi=150, facecolor="white")
+        figure = Figure(figsize=_INCHES, dpi=150, facecolor="white")
         FigureCanvasAgg(figure)
         _fill(figure, run, title, what_if)
         figure.savefig(path)
@@ -216,7 +218,7 @@ def _name_ends(axis: Axes, ends: Sequence[tuple[float, str, str, bool]]) -> None
         ends: last value, name, colour, and whether it is one of the run's signals (bold).
     """
     low, high = axis.get_ylim()
-    height = axis.get_position().height * axis.get_figure().get_figheight() * 72  # in points
+    height = axis.get_position().height * _INCHES[1] * 72  # in points
     gap, place = 15.5 / height, 0.0
     wanted = sorted(((value - low) / (high - low), not bold, name, color, bold) for value, name, color, bold in ends)
     top = 1.02 - gap * (len(wanted) - 1)

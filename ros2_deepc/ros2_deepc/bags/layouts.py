@@ -111,7 +111,7 @@ def _column(names: list[str], shares: list[float]) -> object:
 def plotjuggler(table: Sequence[Panel], namespace: str) -> str:
     """A PlotJuggler layout (XML, Layout > Load)."""
     root = ET.Element("root")
-    window = ET.SubElement(root, "tabbed_widget", parent="main_window", name="Main Window")
+    window = ET.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     tab = ET.SubElement(window, "Tab", containers="1", tab_name=namespace.strip("/") or "run")
     total = sum(panel.share for panel in table)
     sizes = ";".join(f"{panel.share / total:.4f}" for panel in table)

@@ -152,8 +152,9 @@ def events(run: Run) -> list[tuple[int, int, float, str]]:
 
 def _changes(ref: Array) -> list[int]:
     known = ~np.isnan(ref).any(axis=1)
-    moved = np.any(np.diff(np.nan_to_num(ref), axis=0) != 0, axis=1) & known[1:] & known[:-1]
-    return (np.flatnonzero(moved) + 1).tolist()[:200]
+    moved = (np.diff(np.nan_to_num(ref), axis=0) != 0).any(axis=1)
+    both = np.flatnonzero(known)
+    return [int(i) + 1 for i in np.flatnonzero(moved) if i in both and i + 1 in both][:200]
 
 
 def numbers(values: Array) -> list[float | None]:

@@ -16,7 +16,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from .decode import Decoder, decoder
 from .errors import BagError, why
 from .layout import MARKER, METADATA
-from .scan import BROKEN, Damage, read_summary, scan
+from .scan import BROKEN, Damage, read_attachments, read_summary, scan
 
 
 class RawMessage(NamedTuple):
@@ -136,22 +136,22 @@ class BagReader:
             yield raw, decoders[raw.topic](raw.data)
 
     def attachments(self) -> Iterator[Attachment]:
-        """Yields attachments: ``.name``, ``.media_type``, ``.data``."""
+        """Yields attachments whose checksum is right: ``.name``, ``.media_type``, ``.data``."""
         for file in self.files:
-            if self._indexed[file]:
-                with file.open("rb") as stream:
-                    yield from SeekingReader(stream).iter_attachments()
-            else:
-                yield from (r for r in scan(file) if isinstance(r, Attachment))
+            yield from read_attachments(file)
 
     def _read_index(self, file: Path) -> bool:
         """Fills in what the summary at the end of the file says; False if there is none."""
         summary = read_summary(file)
         if summary is None or summary.statistics is None or not summary.chunk_indexes:
             return False
-        with file.open("rb") as stream:
-            for record in SeekingReader(stream).iter_metadata():
-                self.metadata[record.name] = record.metadata
+        try:
+            with file.open("rb") as stream:
+                for record in SeekingReader(stream).iter_metadata():
+                    self.metadata[record.name] = record.metadata
+        except BROKEN as error:
+            self.complete = False
+            self.losses.append(f"{file.name}: metadata lost: {why(error)}")
         for channel in summary.channels.values():
             count = summary.statistics.channel_message_counts.get(channel.id, 0)
             self._add_topic(channel, summary.schemas.get(channel.schema_id)).count += count

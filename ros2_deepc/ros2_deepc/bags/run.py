@@ -232,9 +232,13 @@ def _align(tables: Mapping[str, Columns], info: Any, last_report: Any, metadata:
 def _time(stamp: NDArray[np.int64], keys: NDArray[np.int64], sample_time: float) -> tuple[Array, Clock]:
     """Seconds since the first sample: by the stamps where they grow, else by counting sample times."""
     if len(stamp) == 1 or np.all(np.diff(stamp) > 0):
-        return 1e-9 * (stamp - stamp[0]), lambda stamps, _: 1e-9 * (stamps - stamp[0])
-    t = np.arange(len(keys)) * (1.0 if np.isnan(sample_time) else sample_time)
-    return t, lambda _, wanted: pick(t, keys, wanted)
+        return _seconds(stamp - stamp[0]), lambda stamps, _: _seconds(stamps - stamp[0])
+    t: Array = np.arange(len(keys)) * (1.0 if np.isnan(sample_time) else sample_time)
+    return t, lambda _, wanted: np.asarray(pick(t, keys, wanted), dtype=np.float64)
+
+
+def _seconds(nanoseconds: NDArray[np.int64]) -> Array:
+    return np.asarray(1e-9 * nanoseconds, dtype=np.float64)
 
 
 def _references(topic: Columns, state: Columns, epochs: list[int], keys: NDArray[np.int64], p: int) -> Array:

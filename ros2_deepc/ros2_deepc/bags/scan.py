@@ -32,8 +32,20 @@ _KEPT = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.FOOTER: Footer,
 }
+_INDEX = frozenset(
+    [
+        Opcode.FOOTER,
+        Opcode.CHUNK_INDEX,
+        Opcode.ATTACHMENT_INDEX,
+        Opcode.STATISTICS,
+        Opcode.METADATA_INDEX,
+        Opcode.SUMMARY_OFFSET,
+    ]
+)
+# what the parsers may raise for bytes that make no sense
 BROKEN = (
-    McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, MemoryError, EOFError, RuntimeError
+    McapError, CRCValidationError, zstandard.ZstdError, struct.error, ValueError, LookupError, OverflowError,
+    MemoryError, EOFError, RuntimeError,
 )  # fmt: skip
 
 
@@ -68,8 +80,8 @@ def scan(path: Path) -> Iterator[Any]:
         if summary is not None:
             yield from summary.schemas.values()
             yield from summary.channels.values()
-        chunks = sorted(c.chunk_start_offset for c in summary.chunk_indexes) if summary is not None else []
-        yield from _records(file, size, chunks)
+        known = summary.chunk_indexes if summary is not None else []
+        yield from _records(file, size, {c.chunk_start_offset: c.chunk_length for c in known})
 
 
 def read_summary(path: Path) -> Summary | None:
@@ -90,29 +102,57 @@ def read_summary(path: Path) -> Summary | None:
         return None
 
 
-def _records(file: BinaryIO, size: int, chunks: list[int]) -> Iterator[Any]:
-    at = 8
+def read_attachments(path: Path) -> Iterator[Attachment]:
+    """Yields the attachments of a file that are whole: by its index, or by reading through it if it has none."""
+    summary = read_summary(path)
+    if summary is None:
+        yield from (record for record in scan(path) if isinstance(record, Attachment))
+        return
+    with path.open("rb") as file:
+        for entry in summary.attachment_indexes:
+            file.seek(entry.offset + 9)
+            found = _record(file, Opcode.ATTACHMENT, entry.offset, entry.length - 9)
+            yield from (record for record in found if isinstance(record, Attachment))
+
+
+def _records(file: BinaryIO, size: int, chunks: dict[int, int]) -> Iterator[Any]:
+    at, over = 8, False  # over: the data has ended, the index follows
     while at < size:
         file.seek(at)
         head = file.read(9)
-        length = int.from_bytes(head[1:], "little")
-        fault = ""
-        if len(head) < 9 or at + 9 + length > size:
-            fault = "the file ends within a record"
-        elif not 0 < head[0] <= Opcode.DATA_END:
-            fault = f"no record starts here (opcode {head[0]})"
+        opcode, length = head[0], int.from_bytes(head[1:], "little")
+        fault = _fault(file, head, size - at - 9, over)
+        if at in chunks and (fault or (opcode, length) != (Opcode.CHUNK, chunks[at] - 9)):
+            yield Damage(at, 9, "the head of a chunk; its content is read by the index")
+            opcode, length, fault = Opcode.CHUNK, chunks[at] - 9, ""
         if fault:
-            resume = next((c for c in chunks if c > at), size)
+            resume = min((c for c in chunks if c > at), default=size)
             yield Damage(at, resume - at, fault)
-            if resume == size:
-                return
             at = resume
+            if at == size:
+                return
             continue
-        yield from _record(file, head[0], at, length)
-        if head[0] == Opcode.FOOTER:
+        file.seek(at + 9)
+        yield from _record(file, opcode, at, length)
+        if opcode == Opcode.FOOTER:
             return
+        over = over or opcode == Opcode.DATA_END
         at += 9 + length
     yield Damage(size, 0, "the file was not finished")
+
+
+def _fault(file: BinaryIO, head: bytes, room: int, over: bool) -> str:
+    """Why no record can start with this head; empty if one can."""
+    length = int.from_bytes(head[1:], "little")
+    if len(head) < 9 or length > room:
+        return "the file ends within a record"
+    if not 0 < head[0] <= Opcode.DATA_END:
+        return f"no record starts here (opcode {head[0]})"
+    if head[0] in _INDEX and not over:
+        return f"a record of the index before the end of the data (opcode {head[0]})"
+    if head[0] == Opcode.MESSAGE_INDEX and int.from_bytes(file.read(6)[2:], "little") != length - 6:
+        return "a message index of a wrong length"
+    return ""
 
 
 def _record(file: BinaryIO, opcode: int, at: int, length: int) -> Iterator[Any]:
@@ -136,4 +176,4 @@ def _record(file: BinaryIO, opcode: int, at: int, length: int) -> Iterator[Any]:
 def _chunk(chunk: Chunk) -> list[Any]:
     if chunk.uncompressed_size > 1 << 30:
         raise ValueError(f"claims {chunk.uncompressed_size} bytes")
-    return breakup_chunk(chunk, validate_crc=True)
+    return list(breakup_chunk(chunk, validate_crc=True))
