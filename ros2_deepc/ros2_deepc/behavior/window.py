@@ -67,7 +67,10 @@ class DataWindow:
         Raises:
             ValueError: on wrong shapes, NaN or infinity; the window is then unchanged. Cut the record and go on.
         """
-        w = np.concatenate([as_sample(u, self.m, "u"), as_sample(y, self.p, "y")])
+        self.append(np.concatenate([as_sample(u, self.m, "u"), as_sample(y, self.p, "y")]))
+
+    def append(self, w: Array) -> None:
+        """Adds a sample w = [u; y], shape (m+p,), known to be finite."""
         if not self._starts:
             self._starts.append(0)
         place = self._pushed % self.capacity

@@ -48,6 +48,7 @@ class DeepcController:
     def __init__(self, m: int, p: int, settings: DeepcSettings) -> None:
         self._sized = size(settings, m, p)
         self._limiter = Limiter(self._sized.u_min, self._sized.u_max, self._sized.du_max)
+        self._dithers = bool(self._sized.dither.any())
         self.reset()
 
     @property
@@ -83,6 +84,7 @@ class DeepcController:
             raise ValueError(f"{', '.join(wrong)} cannot change while running; these can: {', '.join(sorted(LIVE))}")
         self._sized = size(replace(self._sized.base, **changes), self._sized.m, self._sized.p)
         self._limiter = Limiter(self._sized.u_min, self._sized.u_max, self._sized.du_max)
+        self._dithers = bool(self._sized.dither.any())
         self._planner = Planner(self._sized)
         self._data.tune(self._sized)
         self._goal_key = None
@@ -153,15 +155,16 @@ class DeepcController:
         """
         base = self._sized.base
         u, y = as_sample(u, self._sized.m, "u"), as_sample(y, self._sized.p, "y")
-        ud = np.concatenate([u, as_sample([] if d is None else d, base.disturbances, "d")]) if base.disturbances else u
+        parts = [u, as_sample([] if d is None else d, base.disturbances, "d"), y] if base.disturbances else [u, y]
+        w = np.concatenate(parts)
         self.prepare()
         if self._answer is not None:
             self.commit(self._answer)
         self._ahead = self._ahead[1:]
-        self._recent.push(ud, y)
+        self._recent.append(w)
         known = self._ahead[: base.s - 1]
         self._last = known[-1] if len(known) == base.s - 1 > 0 else u
-        self._data.observe(ud, y, [] if base.disturbances else known)
+        self._data.observe(w, [] if base.disturbances else known)
         self._instant += 1
 
     def commit(self, u: ArrayLike) -> None:
@@ -243,7 +246,7 @@ class DeepcController:
         if not self._data.moves or (self._sized.base.data_policy == "guarded" and not self._data.weak):
             return 0.0
         amplitude = self._sized.dither
-        return self._rng.uniform(-amplitude, amplitude) if amplitude.any() else 0.0
+        return amplitude * (2.0 * self._rng.random(amplitude.size) - 1.0) if self._dithers else 0.0
 
     def _follow(self, y_ref: ArrayLike) -> None:
         """Takes the reference, if it is another one than before."""

@@ -49,14 +49,14 @@ class RunData:
         """Whether the predictor changes while the plant is controlled."""
         return self._sized.base.data_policy != "fixed"
 
-    def observe(self, u: Array, y: Array, ahead: list[Array]) -> None:
-        """Takes a sample, u (m + disturbances,), and the inputs already decided after it."""
+    def observe(self, w: Array, ahead: list[Array]) -> None:
+        """Takes a sample w = [u; d; y] and the inputs already decided after it."""
         if self._first is not None and not self.moves:
             return
-        self._window.push(u, y)
+        self._window.append(w)
         self._ahead, self._now = ahead, None
         if self._stream is not None:
-            self._stream.push(u, y)
+            self._stream.push(w)
         elif self.length >= self._sized.T and self.snapshot.rich:
             self._first = self.snapshot
             if self.moves:
@@ -169,13 +169,14 @@ class _Stream:
     """
 
     def __init__(self, sized: Sized, scale: tuple[Array, Array]) -> None:
-        self._sized, self._scale = sized, scale
+        self._sized, self._scale = sized, np.concatenate(scale)
         self._layout = lay_out(sized)
         self._width = scale[0].size + scale[1].size
         rows = self._layout.timed
         self._places = rows[:, None] * (self._width * sized.rows_u) + rows  # flat places of the grouped Gram matrix
         spent = sized.base.form == "incremental"
         self._columns = sized.T - spent - sized.rows_u + 1
+        self._cut = truncation(sized, noise_norm(sized, scale[1], self._columns))
         self._last: Array | None = None
         self._matrix: SlidingGram | SlidingFactor = self._make(
             SlidingFactor if sized.base.predictor == "causal" else SlidingGram
@@ -188,7 +189,7 @@ class _Stream:
         """Starts from the newest of the records in the window."""
         self.cut()
         for u, y in zip(*records[-1], strict=True):
-            self.push(u, y)
+            self.push(np.concatenate([u, y]))
 
     def refine(self, records: tuple[Record, ...]) -> bool:
         """Goes over to the orthogonal factor; says whether that changed anything."""
@@ -198,9 +199,9 @@ class _Stream:
         self.refill(records)
         return True
 
-    def push(self, u: Array, y: Array) -> None:
-        """Takes a sample."""
-        w = np.concatenate([u / self._scale[0], y / self._scale[1]])
+    def push(self, w: Array) -> None:
+        """Takes a sample [u; d; y]."""
+        w = w / self._scale
         if self._sized.base.form == "incremental":
             w, self._last, before = w, w, self._last
             if before is None:
@@ -221,11 +222,10 @@ class _Stream:
         """
         if not self._matrix.full:
             return None
-        cut = truncation(self._sized, noise_norm(self._sized, self._scale[1], self._columns))
         rows = self._layout.timed
         if isinstance(self._matrix, SlidingGram):
             with_noise = self._sized.base.noise_block != "off"
             S = self._matrix.matrix.ravel()[self._places]
-            return fit_gram(S, self._layout, self._columns, cut, with_noise)
+            return fit_gram(S, self._layout, self._columns, self._cut, with_noise)
         regress = fit_causal if self._sized.base.predictor == "causal" else fit
-        return regress(self._matrix.factor().T[rows], self._layout, self._columns, cut)
+        return regress(self._matrix.factor().T[rows], self._layout, self._columns, self._cut)
