@@ -1,0 +1,375 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Faults on the topics against the controller node: mode, command, counters, and nothing false in the window."""
+
+import time
+from collections import Counter
+
+import numpy as np
+import pytest
+from deepc_msgs.msg import ControllerState, PlantInfo, Sample
+from deepc_msgs.srv import SetMode
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from ros2_deepc.control.modes import Mode
+from ros2_deepc.nodes.controller_node import ControllerNode
+from ros2_deepc.ros import topics
+from ros2_deepc.ros.convert import sample
+from ros2_deepc.ros.qos import profile
+from ros2_deepc.ros.run import Spinner, make_executor, ros
+
+DEADLINE = 60.0  # [s]
+A, B, C = np.array([[0.9, 0.2], [-0.1, 0.8]]), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+SETTINGS = {"N": 2, "L": 6, "Q": [1.0], "R": [0.1], "terminal": "none", "max_gap": 3, "max_hold": 8, "ramp": 4}
+T = 19  # what Corollary 1 asks for: 2 (N+L+q) - 1
+MODES = {name: int(value) for name, value in Mode.__members__.items()}
+
+
+class FaultyPlant(Node):
+    """A plant of order 2 whose messages can be lost, doubled, swapped or spoiled, one sample at a time."""
+
+    def __init__(self, **kwargs):
+        super().__init__("plant", **kwargs)
+        self.x, self.k, self.u, self.age = np.array([1.0, -1.0]), 0, np.zeros(1), 0
+        self.y_log, self.u_log = [], []
+        self.inputs, self.states = {}, []
+        self.info_topic = self.create_publisher(PlantInfo, "plant_info", profile(topics.PLANT_INFO))
+        self.outputs = self.create_publisher(Sample, "outputs", profile(topics.OUTPUTS, lockstep=False))
+        self.reference = self.create_publisher(Sample, "reference", profile(topics.REFERENCE))
+        self.create_subscription(Sample, "inputs", self._on_inputs, profile(topics.INPUTS, lockstep=False))
+        self.create_subscription(ControllerState, "controller/state", self._on_state, profile(topics.STATE))
+        self.wake = lambda: None
+        self.reference.publish(sample("p", 1, 0, np.array([0.5]), 1))
+
+    def announce(self, epoch=1):
+        self.epoch = epoch
+        info = PlantInfo(name="p", epoch=epoch, sample_time=1.0, q=2, s=1, n=2)
+        info.input_names, info.output_names = ["u"], ["y"]
+        info.input_min, info.input_max = [-1.0], [1.0]
+        self.info_topic.publish(info)
+
+    def _on_inputs(self, msg):
+        self.inputs[int(msg.k)] = np.array(msg.values)
+        self.wake()
+
+    def _on_state(self, msg):
+        self.states.append(msg)
+        self.wake()
+
+    def sample(self):
+        """One sampling instant: y(k) with the input that is there, held if none came."""
+        fresh = self.inputs.get(self.k)
+        self.u, self.age = (fresh, 0) if fresh is not None else (self.u, self.age + 1)
+        y = C @ self.x
+        self.x = A @ self.x + B @ self.u
+        self.y_log.append(y)
+        self.u_log.append(self.u)
+        msg = sample("p", self.epoch, self.k, y, self.k + 1, self.age)
+        self.k += 1
+        return msg
+
+
+@pytest.fixture
+def rig(domain_id):
+    """A controller node and the faulty plant in one process, with helpers to drive them."""
+    with ros([], domain_id) as context:
+        executor = make_executor("events", context)
+
+        class Rig:
+            def start(self, **parameters):
+                values = SETTINGS | parameters
+                overrides = [Parameter(name, value=value) for name, value in values.items()]
+                self.node = ControllerNode(context=context, parameter_overrides=overrides, use_global_arguments=False)
+                self.plant = FaultyPlant(context=context, use_global_arguments=False)
+                self.spinner = Spinner(executor)
+                self.plant.wake = self.spinner.wake
+                executor.add_node(self.node)
+                executor.add_node(self.plant)
+                self.node.start()
+                self.plant.announce()
+                self.until(lambda: 0 in self.plant.inputs and self.plant.outputs.get_subscription_count() == 1)
+                self.until(lambda: self.node._state._publisher.get_subscription_count() == 1)
+
+            def until(self, condition):
+                end = time.monotonic() + DEADLINE
+                self.spinner.until(lambda: condition() or time.monotonic() > end)
+                assert condition()
+
+            def publish(self, msg):
+                """Publishes outputs and waits until the controller has answered or refused them."""
+                plant = self.plant
+                answered, refused = len(plant.states), self.node.refused
+                plant.outputs.publish(msg)
+                self.until(lambda: len(plant.states) > answered or self.node.refused > refused)
+                if len(plant.states) > answered and plant.states[-1].input:
+                    self.until(lambda: int(msg.k) + 1 in plant.inputs)
+
+            def run(self, samples):
+                for _ in range(samples):
+                    self.publish(self.plant.sample())
+
+            def lose(self, samples):
+                for _ in range(samples):
+                    self.plant.sample()
+
+            @property
+            def mode(self):
+                return Mode(self.plant.states[-1].mode)
+
+            def call(self, kind, name, request):
+                client = self.plant.create_client(kind, name)
+                self.until(client.service_is_ready)
+                future = client.call_async(request)
+                self.until(future.done)
+                return future.result()
+
+            def ask(self, mode):
+                return self.call(SetMode, "controller/set_mode", SetMode.Request(mode=MODES[mode]))
+
+            def window_is_true(self):
+                """One false sample would raise the rank of the data above that of the plant."""
+                controller = self.node._agent.controller
+                assert controller.rank == controller.rank_need
+                assert controller.gap > 1e8
+
+        made = Rig()
+        yield made
+        executor.shutdown()
+        made.node.stop()
+        made.node.destroy_node()
+        made.plant.destroy_node()
+
+
+def spoiled(msg, fault):
+    """The message as a fault leaves it."""
+    if fault == "nan":
+        msg.values = [float("nan")]
+    elif fault == "inf":
+        msg.values = [float("inf")]
+    elif fault == "size":
+        msg.values = [0.0, 0.0]
+    elif fault == "empty":
+        msg.values = []
+    elif fault == "epoch":
+        msg.epoch = 7
+    elif fault == "quality":
+        msg.quality = [Sample.BAD]
+    return msg
+
+
+def test_an_undisturbed_run_collects_and_controls(rig):
+    rig.start()
+    rig.run(40)
+    counts = Counter(Mode(state.mode).name for state in rig.plant.states)
+    assert counts == {"COLLECTING": T - 1, "CONTROLLING": 40 - T + 1}
+    assert abs(rig.plant.y_log[-1][0] - 0.5) < 0.2
+    assert rig.node.refused == rig.node._agent.lost == rig.node._agent.failures == 0
+
+
+@pytest.mark.parametrize("fault", ["nan", "inf", "size", "empty", "epoch", "quality"])
+@pytest.mark.parametrize("when", [10, 25])
+def test_a_spoiled_sample_is_refused_and_the_run_goes_on(rig, fault, when):
+    rig.start()
+    rig.run(when)
+    rig.publish(spoiled(rig.plant.sample(), fault))
+    assert rig.node.refused == 1
+    rig.run(1)
+    assert rig.mode is (Mode.COLLECTING if when < T else Mode.HOLDING)
+    rig.run(30)
+    assert rig.mode is Mode.CONTROLLING
+    assert rig.node._agent.lost == 1
+    rig.window_is_true()
+
+
+@pytest.mark.parametrize("when", [10, 25])
+def test_a_duplicate_changes_nothing(rig, when):
+    rig.start()
+    rig.run(when)
+    again = rig.plant.sample()
+    rig.publish(again)
+    rig.publish(again)
+    assert rig.node.refused == 1
+    rig.run(20)
+    assert rig.mode is Mode.CONTROLLING
+    assert rig.node._agent.lost == 0
+    rig.window_is_true()
+
+
+def test_swapped_samples_count_as_one_lost_and_one_refused(rig):
+    rig.start()
+    rig.run(25)
+    first, second = rig.plant.sample(), rig.plant.sample()
+    rig.publish(second)
+    rig.publish(first)
+    assert (rig.node.refused, rig.node._agent.lost) == (1, 1)
+    assert rig.mode is Mode.HOLDING
+    rig.run(3)
+    assert rig.mode is Mode.CONTROLLING
+    rig.window_is_true()
+
+
+@pytest.mark.parametrize("gap", [1, 2, 3])
+def test_a_short_gap_is_bridged_by_holding(rig, gap):
+    rig.start()
+    rig.run(25)
+    before = rig.plant.inputs[25]
+    rig.lose(gap)
+    rig.run(1)
+    assert rig.mode is Mode.HOLDING
+    np.testing.assert_array_equal(rig.plant.u_log[-1], before)  # the plant held what it had
+    rig.run(3)
+    assert rig.mode is Mode.CONTROLLING
+    assert rig.node._agent.lost == gap
+    rig.window_is_true()
+
+
+def test_a_long_gap_falls_back_until_an_operator_acknowledges(rig):
+    rig.start()
+    rig.run(25)
+    rig.lose(4)
+    rig.run(5)
+    assert rig.mode is Mode.FALLBACK
+    assert "4 samples were lost at once" in rig.plant.states[-1].reason
+    assert len({float(rig.plant.inputs[k][0]) for k in range(31, 35)}) == 1  # holds
+    answer = rig.ask("CONTROLLING")
+    assert answer.success, answer.message
+    rig.run(1)
+    assert rig.mode is Mode.CONTROLLING
+    rig.window_is_true()
+
+
+def test_the_ramp_ends_at_the_safe_input(rig):
+    rig.start(fallback_policy="ramp", u_safe=[0.25])
+    rig.run(25)
+    assert rig.ask("FALLBACK").success
+    rig.run(6)
+    steps = np.array([rig.plant.inputs[k][0] for k in range(25, 32)])
+    np.testing.assert_allclose(np.diff(steps)[:4], (0.25 - steps[0]) / 4, atol=1e-12)
+    np.testing.assert_allclose(steps[4:], 0.25)
+
+
+def test_release_publishes_no_more_inputs(rig):
+    rig.start(fallback_policy="release")
+    rig.run(25)
+    assert rig.ask("FALLBACK").success
+    last = max(rig.plant.inputs)
+    rig.run(5)
+    assert rig.mode is Mode.FALLBACK
+    assert max(rig.plant.inputs) == last
+
+
+def test_losses_that_never_end_are_not_held_for_ever(rig):
+    rig.start()
+    rig.run(25)
+    for _ in range(10):
+        rig.lose(1)
+        rig.run(1)
+    assert rig.mode is Mode.FALLBACK
+    assert "held for 9 samples" in rig.plant.states[-1].reason
+
+
+def test_lost_inputs_are_seen_in_the_outputs(rig):
+    rig.start()
+    rig.run(25)
+    lost = rig.plant.inputs.pop(25)
+    rig.run(1)  # the plant holds u(24) at k = 25 and says so
+    assert rig.plant.u_log[25][0] == rig.plant.u_log[24][0] != lost[0]
+    rig.run(10)
+    assert rig.mode is Mode.CONTROLLING
+    assert rig.node._agent.lost == 0
+    rig.window_is_true()
+
+
+def test_lost_inputs_while_collecting_leave_true_data(rig):
+    rig.start()
+    rig.run(8)
+    rig.plant.inputs.pop(8)
+    rig.run(30)
+    assert rig.mode is Mode.CONTROLLING
+    rig.window_is_true()
+
+
+def test_a_plant_that_restarts_is_learned_anew(rig):
+    rig.start()
+    rig.run(25)
+    rig.plant.k, rig.plant.x = 0, np.array([-2.0, 1.0])
+    rig.plant.inputs.clear()
+    rig.plant.announce(epoch=2)
+    rig.until(lambda: 0 in rig.plant.inputs)
+    rig.run(5)
+    assert rig.mode is Mode.COLLECTING
+    rig.run(25)
+    assert rig.mode is Mode.CONTROLLING
+    rig.window_is_true()
+
+
+def test_a_controller_that_starts_late_joins_a_running_plant(rig):
+    rig.start()
+    rig.plant.k = 57  # the plant has been running on inputs of its own
+    rig.plant.inputs.clear()
+    rig.run(1)
+    assert rig.node._agent.lost == 1  # nobody knows what moved the plant at k = 57
+    rig.run(40)
+    assert rig.mode is Mode.CONTROLLING
+    rig.window_is_true()
+
+
+def test_reset_collects_again(rig):
+    rig.start()
+    rig.run(25)
+    answer = rig.call(Trigger, "controller/reset", Trigger.Request())
+    assert answer.success
+    rig.run(3)
+    assert rig.mode is Mode.COLLECTING
+    assert rig.plant.states[-1].window == 3
+    rig.run(25)
+    assert rig.mode is Mode.CONTROLLING
+
+
+@pytest.mark.parametrize(
+    ("run", "asked", "success", "hint"),
+    [
+        (5, "CONTROLLING", False, "cannot be entered from COLLECTING"),
+        (25, "IDLE", False, "entered by the controller itself"),
+        (25, "HOLDING", False, "entered by the controller itself"),
+        (25, "SHADOW", True, "now SHADOW"),
+        (25, "FALLBACK", True, "now FALLBACK"),
+        (25, "COLLECTING", True, "now COLLECTING"),
+    ],
+)
+def test_requests_follow_the_table(rig, run, asked, success, hint):
+    rig.start()
+    rig.run(run)
+    answer = rig.ask(asked)
+    assert answer.success is success
+    assert hint in answer.message
+
+
+def test_shadow_computes_and_moves_nothing(rig):
+    rig.start()
+    rig.run(25)
+    assert rig.ask("SHADOW").success
+    last = max(rig.plant.inputs)
+    rig.run(5)
+    assert max(rig.plant.inputs) == last
+    assert rig.mode is Mode.SHADOW
+    assert list(rig.plant.states[-1].input) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "hint"),
+    [("R", [0.5], ""), ("N", 5, "read-only"), ("Q", [-1.0], "out of range"), ("u_max", [-2.0], "exceeds u_max")],
+)
+def test_live_parameters_are_checked_together_and_applied_at_the_next_sample(rig, name, value, hint):
+    rig.start()
+    rig.run(25)
+    (result,) = rig.node.set_parameters([Parameter(name, value=value)])
+    assert result.successful is (hint == "")
+    assert hint in result.reason
+    rig.run(2)
+    assert rig.mode is Mode.CONTROLLING
+    if not hint:
+        assert rig.node._agent.settings.R in (0.5, (0.5,))
