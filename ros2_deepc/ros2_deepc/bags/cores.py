@@ -27,7 +27,7 @@ class ControllerCore:
 
     def __init__(self, agent: Agent, message: Callable[[Agent, Decision], Any]) -> None:
         self._agent, self._message = agent, message
-        self._started, self._next = False, 0
+        self._started = False
 
     def reference(self, k: int, values: Array) -> list[Answer]:
         """Takes a reference; the first one that holds at 0 starts the run."""
@@ -41,15 +41,15 @@ class ControllerCore:
         """Nothing: the inputs are what is to be found."""
         return []
 
-    def outputs(self, k: int, values: Array, held: int) -> list[Answer]:  # noqa: ARG002
-        """Decides as the node did; after a gap in the recorded outputs nobody can know what it did."""
-        if not self._started or k != self._next:
+    def outputs(self, k: int, values: Array, held: int) -> list[Answer]:
+        """Decides as the node did. What never crossed the topics, such as a request for a mode, it cannot know."""
+        if not self._started:
             return []
-        self._next += 1
-        decision = self._agent.step(k, values)
+        decision = self._agent.step(k, values, held)
         state = self._message(self._agent, decision)
         self._agent.prepare()
-        return [_inputs(k + self._agent.settings.s, decision.u), ("controller/state", k, state)]
+        inputs = [] if decision.u is None else [_inputs(k + self._agent.settings.s, decision.u)]
+        return [*inputs, ("controller/state", k, state)]
 
 
 class MonitorCore:
