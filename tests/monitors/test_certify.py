@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from ros2_deepc.behavior import hankel
 from ros2_deepc.monitors.certify import Curvature, Squares, _examine, candidates, certify
 from ros2_deepc.monitors.compress import compress
+from ros2_deepc.monitors.modal import modal
 from ros2_deepc.monitors.pencil import Points, reduce
 from ros2_deepc.monitors.search import minimum
 
@@ -61,7 +62,7 @@ def test_kappa_bounds_the_full_pencil_from_below_and_has_its_rank(rng, lam):
 
 def test_eigenvalues_of_the_pencil_are_those_of_the_plant(rng):
     A, _, _, pencil = random_pencil(rng, q=5)
-    found, true = minimum(pencil).eigenvalues, np.linalg.eigvals(A)
+    found, true = minimum(pencil).modes.eigenvalues, np.linalg.eigvals(A)
     assert abs(found[:, None] - true).min(axis=0).max() < 1e-9
 
 
@@ -109,7 +110,7 @@ def test_candidates_hold_every_small_kappa(rng):
         *_, pencil = random_pencil(rng)
         kappa = pencil.singular_values(z)[:, -1]
         eps = np.quantile(kappa, 0.02)
-        squares = candidates(pencil, eps)
+        squares = candidates(modal(pencil), eps)
         for lam in z[(kappa <= eps) & (z.imag >= 0)]:
             both = [lam, 1 / lam if lam else 1e300]
             assert any(
@@ -138,6 +139,14 @@ def test_defective_and_multiple_modes_are_proved_where_controllable(rng):
         _, data = window(rng, T @ A @ np.linalg.inv(T), B, C)
         pencil = reduce(data, 3)
         assert certify(pencil, data.floor + pencil.floor).complete
+
+
+def test_memory_of_a_cover_is_bounded(rng, monkeypatch):
+    *_, pencil = random_pencil(rng)
+    eps = 0.95 * minimum(pencil).kappa
+    whole = certify(pencil, eps)
+    monkeypatch.setattr("ros2_deepc.monitors.certify._MEMORY", 1)
+    assert certify(pencil, eps) == whole  # the same squares in smaller batches
 
 
 def test_budget_ends_the_cover(rng):

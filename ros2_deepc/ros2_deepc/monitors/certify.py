@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Proof that the pencil keeps its rank at every lambda: a finite cover of all candidates.
 
-N(lambda) contains X(lambda) = X1 - lambda X0, so a lambda with kappa <= eps makes X(lambda) nearly singular. With V, W
-that nearly diagonalise X, such a lambda lies in one of q discs about the eigenvalues (the argument of Bauer and Fike,
-with the residual of V and W accounted for, so that it holds however ill-conditioned they are). Squares cover the discs;
-a square is done when a bound of the variation of N over it keeps kappa above eps, and is split in four otherwise.
+N(lambda) contains X(lambda) = X1 - lambda X0, so a lambda with kappa <= eps makes X(lambda) nearly singular and lies in
+one of q discs about the modes (see `modal`), however ill-conditioned these are. Squares cover the discs; a square is
+done when a bound of the variation of N over it keeps kappa above eps, and is split in four otherwise.
 """
 
 from __future__ import annotations
@@ -13,16 +12,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg as sla
 
 from .compress import EPS, Array
+from .modal import Modal, modal
 from .pencil import Complex, Mask, Pencil, Points, norms
 
 BUDGET = 20000
 """Squares looked at before giving up."""
 
-_REGULAR = 1.6 * np.exp(2.3j)
-"""A lambda at which X(lambda) is hardly ever singular."""
+_MEMORY = 500_000
+"""Numbers that a batch of squares may take for its input directions."""
 
 _WIDE = 0.2
 """Discs wider than this are replaced by the whole sphere."""
@@ -33,6 +32,10 @@ class Squares(NamedTuple):
 
     at: Points
     half: Array
+
+    def only(self, which: Mask | slice) -> Squares:
+        """Some of the squares."""
+        return Squares(Points(self.at.t[which], self.at.outer[which]), self.half[which])
 
 
 class Certificate(NamedTuple):
@@ -49,17 +52,23 @@ class Certificate(NamedTuple):
     counterexample: complex | None
 
 
-def certify(pencil: Pencil, eps: float, budget: int = BUDGET) -> Certificate:
+def certify(pencil: Pencil, eps: float, modes: Modal | None = None, budget: int = BUDGET) -> Certificate:
     """Decides whether kappa(lambda) > eps for every complex lambda and infinity.
 
     Args:
         pencil: the reduced pencil.
         eps: threshold, in the units of kappa, positive.
+        modes: of the pencil, if they are known already.
         budget: squares looked at before giving up.
     """
-    todo, looked = candidates(pencil, eps), 0
-    curve = Curvature(pencil)
-    while todo.half.size:
+    curve, looked = Curvature(pencil), 0
+    pending = [candidates(modes or modal(pencil), eps)]
+    batch = max(16, _MEMORY // pencil.M[0].size)
+    while pending:
+        todo = pending.pop()
+        if todo.half.size > batch:
+            pending.append(todo.only(slice(batch, None)))
+            todo = todo.only(slice(batch))
         looked += todo.half.size
         if looked > budget:
             return Certificate(False, looked, None)
@@ -67,35 +76,21 @@ def certify(pencil: Pencil, eps: float, budget: int = BUDGET) -> Certificate:
         if bad.any():
             i = int(np.argmax(bad))
             return Certificate(False, looked, complex(todo.at.lambda_[i]))
-        todo = _split(todo, ~done)
+        if not done.all():
+            pending.append(_split(todo.only(~done)))
     return Certificate(True, looked, None)
 
 
-def candidates(pencil: Pencil, eps: float) -> Squares:
-    """Squares that together hold every lambda with kappa <= eps."""
-    _, V = sla.eig(pencil.X1, pencil.X0, check_finite=False)
-    try:
-        W = np.linalg.inv(
-            (pencil.X1 - _REGULAR * pencil.X0) @ V
-        )  # serves multiple eigenvalues, unlike left eigenvectors
-    except np.linalg.LinAlgError:
-        return _sphere()
-    W = W / np.linalg.norm(W, axis=1, keepdims=True)
-    W1, W0 = W @ pencil.X1 @ V, W @ pencil.X0 @ V
-    d1, d0 = np.diag(W1), np.diag(W0)
-    residual = float(np.linalg.norm(W1 - np.diag(d1)) + np.linalg.norm(W0 - np.diag(d0)))
-    size = np.maximum(abs(d1), abs(d0))
-    # Rows of W and columns of V have unit norm: |alpha|, |beta| <= 1 and kappa <= eps give an i with
-    # |alpha d1_i - beta d0_i| <= residual + 2 eps q.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        radius = (residual + 2 * eps * pencil.q) / size
+def candidates(modes: Modal, eps: float) -> Squares:
+    """Squares that together hold every lambda with kappa <= eps and no negative imaginary part."""
+    radius = modes.reach(eps)
     if not np.all(radius < _WIDE):
         return _sphere()
-    outer = abs(d1) > abs(d0)
-    t = np.where(outer, d0, d1) / np.where(outer, d1, d0)
+    outer = abs(modes.d1) > abs(modes.d0)
+    t = np.asarray(np.where(outer, modes.d0, modes.d1) / np.where(outer, modes.d1, modes.d0), dtype=np.complex128)
     half = radius / (1 - radius)  # the divisor covers what lies across the unit circle
     upper = np.where(outer, -t.imag, t.imag) + half >= 0  # data are real: kappa is the same at conjugate lambda
-    return Squares(Points(t[upper], outer[upper]), half[upper])
+    return Squares(Points(t, outer), half).only(upper)
 
 
 def _sphere() -> Squares:
@@ -166,10 +161,10 @@ def _relative(N: Complex) -> tuple[Array, Complex]:
     return sigma[:, -1], left.conj().transpose(0, 2, 1) / safe[:, :, None]
 
 
-def _split(squares: Squares, which: Mask) -> Squares:
-    """Quarters of the chosen squares."""
+def _split(squares: Squares) -> Squares:
+    """Quarters of squares."""
     (t, outer), half = squares
-    quarter = half[which] / 2
+    quarter = half / 2
     corners = np.array([1 + 1j, 1 - 1j, -1 + 1j, -1 - 1j])
-    centres: Complex = (t[which][:, None] + quarter[:, None] * corners).ravel()
-    return Squares(Points(centres, np.repeat(outer[which], 4)), np.repeat(quarter, 4))
+    centres: Complex = (t[:, None] + quarter[:, None] * corners).ravel()
+    return Squares(Points(centres, np.repeat(outer, 4)), np.repeat(quarter, 4))

@@ -7,9 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg as sla
 
 from .compress import Array
+from .modal import Modal, modal
 from .pencil import Complex, Pencil, Points
 
 _RINGS = np.concatenate(
@@ -28,13 +28,13 @@ class Minimum:
     Attributes:
         lambda_: where.
         sigma: singular values of N there over the weight, largest first, shape (q,).
-        eigenvalues: modes of the slow part as the data show them, shape (q,).
+        modes: of the slow part as the data show them.
         strengths: kappa at those modes, shape (q,).
     """
 
     lambda_: complex
     sigma: Array
-    eigenvalues: Complex
+    modes: Modal
     strengths: Array
 
     @property
@@ -49,21 +49,14 @@ class Minimum:
 
 def minimum(pencil: Pencil) -> Minimum:
     """Smallest kappa met in a search over the sphere: modes, rings, then Gauss-Newton from the best of them."""
-    modes = eigenvalues(pencil)
-    starts = np.concatenate([modes, _RINGS])
+    modes = modal(pencil)
+    starts = np.concatenate([modes.eigenvalues, _RINGS])
     kappa = pencil.singular_values(starts)[:, -1]
-    strengths = kappa[: modes.size]
+    strengths = kappa[: pencil.q]
     once = starts.imag >= 0  # data are real: kappa is the same at conjugate lambda
     lam, sigma = refine(pencil, starts[once][np.argsort(kappa[once])[:_STARTS]])
     lowest = int(np.argmin(sigma[:, -1]))
     return Minimum(complex(lam[lowest]), sigma[lowest], modes, strengths)
-
-
-def eigenvalues(pencil: Pencil) -> Complex:
-    """Roots of det(X1 - lambda X0), shape (q,); inf where X0 is singular."""
-    w = sla.eigvals(pencil.X1, pencil.X0, homogeneous_eigvals=True, check_finite=False)
-    finite = abs(w[1]) > 0
-    return np.where(finite, w[0] / np.where(finite, w[1], 1), np.inf).astype(np.complex128)
 
 
 def refine(pencil: Pencil, lam: Complex) -> tuple[Complex, Array]:

@@ -28,6 +28,9 @@ class Names:
     order: str
 
 
+ON_CIRCLE = 1e-6
+"""Modes this near to the unit circle count as on it, as do those that noise could move there."""
+
 SLOW = Names("1*", "3*", "q")
 WHOLE = Names("2*", "4*", "n")
 
@@ -90,8 +93,8 @@ def decibel(value: float, bound: float) -> float:
     return float(20 * np.log10(value / bound)) if value > 0 else -np.inf
 
 
-def place(lam: complex, tolerance: float = 1e-6) -> str:
-    """Where a mode lies against the unit circle."""
+def place(lam: complex, tolerance: float) -> str:
+    """Where a mode lies against the unit circle: "on" within the tolerance."""
     distance = abs(lam) - 1
     if abs(distance) <= tolerance:
         return "on"
@@ -176,7 +179,7 @@ def _controllability(data: Compression, pencil: Pencil, low: Minimum, q: int, ep
     """Theorem 1* or 2* on the visible directions."""
     base = data.m * (data.d - 1)
     if low.kappa > eps and pencil.q == q:
-        proof = certify(pencil, eps)
+        proof = certify(pencil, eps, low.modes)
         if proof.counterexample is not None:
             low = low.moved(pencil, proof.counterexample)
     at = f"lambda = {low.lambda_:.6g}"
@@ -215,6 +218,9 @@ def _controllability(data: Compression, pencil: Pencil, low: Minimum, q: int, ep
 
 def find_modes(low: Minimum, eps: float) -> tuple[Mode, ...]:
     """Modes of the visible directions with the strength by which the inputs move them, weakest first."""
-    order = np.argsort(low.strengths)
-    pairs = [(complex(low.eigenvalues[i]), float(low.strengths[i])) for i in order]
-    return tuple(Mode(lam, strength, place(lam), strength <= eps) for lam, strength in pairs)
+    spread = low.modes.radius(eps)
+    return tuple(
+        Mode(lam, strength, place(lam, max(ON_CIRCLE, float(spread[i]))), strength <= eps)
+        for i in np.argsort(low.strengths)
+        for lam, strength in [(complex(low.modes.eigenvalues[i]), float(low.strengths[i]))]
+    )

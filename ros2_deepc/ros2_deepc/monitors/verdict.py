@@ -73,7 +73,7 @@ class Mode:
     Attributes:
         lambda_: eigenvalue.
         strength: how far the inputs move it, in the units of `Finding.noise_bound`.
-        place: "inside", "on" or "outside" the unit circle.
+        place: "inside", "on" or "outside" the unit circle; "on" also when noise could have moved it from there.
         at_fault: whether its strength is within the noise bound: consistent with an uncontrollable mode.
     """
 
