@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .controller import DeepcController
+from .excitation import Excitation, Signal
 from .modes import Mode, Safety, refusal
 from .reference import ReferenceSchedule
 from .result import Status, StepResult
 from .settings import DeepcSettings
+from .watch import Bounds, Watch
 
 Array = NDArray[np.float64]
 
@@ -50,12 +52,26 @@ class Agent:
         settings: of the controller; ``u_min`` and ``u_max`` must be finite, they bound the excitation.
         seed: of the excitation.
         safety: when to give up, and what to do then.
+        bounds: what a healthy loop keeps to; beyond them it falls back.
+        excitation: signal while collecting.
+        amplitude: share of the input range that it uses, in (0, 1].
 
     Raises:
         ValueError: if the settings cannot work (the message says what would).
     """
 
-    def __init__(self, m: int, p: int, settings: DeepcSettings, seed: int, safety: Safety | None = None) -> None:
+    def __init__(
+        self,
+        m: int,
+        p: int,
+        settings: DeepcSettings,
+        seed: int,
+        safety: Safety | None = None,
+        *,
+        bounds: Bounds | None = None,
+        excitation: Signal = "uniform",
+        amplitude: float = 1.0,
+    ) -> None:
         self.controller = DeepcController(m, p, settings)
         self.references = ReferenceSchedule(p)
         self.safety = safety or Safety()
@@ -65,13 +81,17 @@ class Agent:
         self.lost = 0
         """Samples that never came, or whose input is not known."""
         self._m = m
-        self._low, self._high, self._safe = (
+        low, high, du, self._safe = (
             np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (m,)))
-            for value in (settings.u_min, settings.u_max, settings.u_safe)
+            for value in (settings.u_min, settings.u_max, settings.du_max, settings.u_safe)
         )
-        if not (np.isfinite(self._low).all() and np.isfinite(self._high).all()):
+        if not (np.isfinite(low).all() and np.isfinite(high).all()):
             raise ValueError("excitation needs finite input limits: give u_min and u_max")
-        self._rng = np.random.Generator(np.random.PCG64([seed, _EXCITATION_STREAM]))
+        self._safe = np.minimum(np.maximum(self._safe, low), high)
+        rng = np.random.Generator(np.random.PCG64([seed, _EXCITATION_STREAM]))
+        self._excitation = Excitation(excitation, low, high, rng, du_max=du, amplitude=amplitude)
+        self._watch = Watch(p, bounds or Bounds())
+        self._predicted: tuple[int, Array] | None = None  # the sample it is for, and the outputs
         self._commands: dict[int, Array] = {}
         self._next: int | None = None  # outputs expected next
         self._aligned = False  # the controller knows the inputs that follow its last sample
@@ -102,8 +122,11 @@ class Agent:
         self._next = k + 1
         result = None
         target = self.references.at(k + 1)
+        trouble = self._trouble(k, y)
         if self.mode is Mode.FALLBACK:
             reason = self._why
+        elif trouble:
+            reason = self._fall_back(trouble)
         elif lacking := self.controller.missing():
             reason = self._wait(lacking)
         elif target is None:
@@ -111,6 +134,7 @@ class Agent:
         else:
             result = self.controller.step(target)
             reason = self._judge(result)
+            self._predicted = (k + 1, result.y_plan[0])
         u = self._choose(k, result)
         return Decision(k=k, u=u, mode=self.mode, reason=reason, reference=self.references.at(k), result=result)
 
@@ -154,12 +178,14 @@ class Agent:
             return ""
         if mode is Mode.COLLECTING:
             self.controller.reset()
+            self._watch.reset()
             self._next, self._aligned, self._rich = None, False, False
         lacking = self.controller.missing() if mode is Mode.CONTROLLING else ""
         if lacking and not self._rich:
             return f"not ready to control: {lacking}"
         self.mode = Mode.HOLDING if lacking else mode
         self._in_a_row, self._held, self._why, self._ramp = 0, 0, "", None
+        self._watch.clear()
         return ""
 
     # Inside
@@ -185,6 +211,15 @@ class Agent:
             self.controller.commit(self._commands[j])
         self.controller.observe(self._commands[k], y)
         self._aligned = True
+
+    def _trouble(self, k: int, y: ArrayLike) -> str:
+        """What is wrong with the outputs while the controller is responsible for them; empty if nothing."""
+        if self.mode is Mode.COLLECTING:
+            self._watch.learn(y)
+        if self.mode not in (Mode.CONTROLLING, Mode.HOLDING):
+            return ""
+        expected = self._predicted[1] if self._predicted is not None and self._predicted[0] == k else None
+        return self._watch.look(y, expected)
 
     def _wait(self, lacking: str) -> str:
         """What was in control holds until the past is known again, but not for ever."""
@@ -241,4 +276,4 @@ class Agent:
         return u
 
     def _excite(self) -> Array:
-        return self._rng.uniform(self._low, self._high)
+        return self._excitation.next()

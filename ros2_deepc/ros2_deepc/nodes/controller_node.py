@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 
 from ..control import DeepcSettings, StepResult
 from ..control.agent import Agent, Decision
+from ..control.excitation import Signal
 from ..control.modes import FallbackPolicy, Mode, Safety
 from ..control.settings import (
     LIVE,
@@ -27,6 +28,7 @@ from ..control.settings import (
     Solver,
     Terminal,
 )
+from ..control.watch import Bounds
 from ..ros import topics
 from ..ros.convert import nanoseconds, period_ns, refusal, sample
 from ..ros.diagnostics import ERROR, OK, WARN, Diagnostics
@@ -100,13 +102,26 @@ PARAMETERS = (
     _row("max_hold", 100, "longest time in HOLDING", "samples", low=1, high=100_000),
     _row("max_failures", 5, "unsolved optimisations in a row before the fallback", "samples", low=1, high=10_000),
     _row("fallback_policy", "hold", "what the fallback does", choices=get_args(FallbackPolicy)),
+    _row("trip_min", [-math.inf], "outputs below this end in the fallback, one for all or shape (p,)", "output units"),
+    _row("trip_max", [math.inf], "outputs above this end in the fallback, one for all or shape (p,)", "output units"),
+    _row(
+        "trip_error",
+        math.inf,
+        "mean prediction error that ends in the fallback; 1 = as wrong as no prediction, measured on the data",
+        low=1e-9,
+        high=math.inf,
+    ),
+    _row("trip_window", 10, "samples of that mean", "samples", low=1, high=100_000),
     _row("ramp", 20, "length of the fallback's ramp", "samples", low=1, high=100_000),
     _row("shadow", False, "start in SHADOW: compute and report, move nothing"),
+    _row("excitation", "uniform", "signal while collecting", choices=get_args(Signal)),
+    _row("amplitude", 1.0, "share of the input range that the excitation uses", low=1e-6, high=1.0),
     _row("seed", 0, "seed of the excitation and the dither", low=0),
     _row("readers_inputs", 0, "lockstep only: subscribers of inputs to wait for before the first sample", low=0),
     _row("readers_state", 0, "lockstep only: subscribers of controller/state to wait for", low=0),
 )
 _SAFETY = ("max_gap", "max_hold", "max_failures", "ramp")
+_BOUNDS = ("trip_min", "trip_max", "trip_error", "trip_window")
 _PLAIN = {field.name for field in fields(DeepcSettings)} - {"q", "s", "u_min", "u_max"}
 
 
@@ -148,7 +163,16 @@ def make_agent(parameters: Mapping[str, Any], info: PlantInfo) -> Agent:
     given, settings = _given(parameters), settings_for(parameters, info)
     try:
         safety = Safety(fallback=given["fallback_policy"], **{name: given[name] for name in _SAFETY})
-        agent = Agent(len(info.input_names), len(info.output_names), settings, int(given["seed"]), safety)
+        agent = Agent(
+            len(info.input_names),
+            len(info.output_names),
+            settings,
+            int(given["seed"]),
+            safety,
+            bounds=Bounds(**{name: _scalar(given[name]) for name in _BOUNDS}),
+            excitation=given["excitation"],
+            amplitude=given["amplitude"],
+        )
     except ValueError as error:
         raise ConfigError(f"controller: {error}") from None
     if given["shadow"]:
