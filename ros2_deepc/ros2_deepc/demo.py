@@ -107,6 +107,7 @@ def _to_the_end(parameters: Parameters, steps: int, name: str, options: Options,
             reported = last_report < 0 or (seen.report is not None and seen.report.k >= last_report)
             return bool(stack.failure()) or (reported and seen.state is not None and seen.state.k >= steps - 1)
 
+        seen.on_change = lambda: stack.spinner.wake() if done() else None
         watch = _Watch(stack)
 
         def between() -> None:

@@ -25,7 +25,7 @@ from ..ros.parameters import ConfigError, Param
 from ..ros.run import run_node
 
 PARAMETERS = (
-    Param("window", 2000, "outputs in the window of the tests", "samples", low=1, high=1_000_000),
+    Param("window", 300, "outputs in the window of the tests", "samples", low=1, high=1_000_000),
     Param("period", 10, "outputs between two reports", "samples", low=1, high=1_000_000),
     Param("L", 0, "block rows of the tests; 0 = chosen by the analysis", low=0, high=1000),
     Param("noise", 0.0, "bound of the measurement noise on every output; 0 = exact data", "output units", low=0.0),

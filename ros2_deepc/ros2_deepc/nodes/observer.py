@@ -14,16 +14,20 @@ from ..ros.qos import profile
 
 
 class Observer(Node):
-    """Keeps the newest plant_info, outputs, state and report; calls ``on_change`` after each."""
+    """Keeps the newest plant_info, outputs, state and report.
 
-    def __init__(self, *, on_change: Callable[[], None], **kwargs: Any) -> None:
+    Attributes:
+        on_change: called after each message.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
         super().__init__("observer", **kwargs)
         self.info: PlantInfo | None = None
         self.outputs: Sample | None = None
         self.state: ControllerState | None = None
         self.report: MonitorReport | None = None
         self.messages = 0
-        self._on_change = on_change
+        self.on_change: Callable[[], None] = lambda: None
         for topic, field in (
             (topics.PLANT_INFO, "info"),
             (topics.OUTPUTS, "outputs"),
@@ -36,6 +40,6 @@ class Observer(Node):
         def keep(msg: Any) -> None:
             setattr(self, field, msg)
             self.messages += 1
-            self._on_change()
+            self.on_change()
 
         return keep

@@ -74,18 +74,19 @@ class RecorderNode(ManagedNode):
             self._writer = None
 
     def _writes(self, topic: topics.Topic) -> Any:
+        name = self.resolve_topic_name(topic.name)
+
         def write(data: bytes) -> None:  # asked for message info, too, EventsExecutor fails on raw bytes
             try:
-                self._write(topic, data)
+                self._write(name, topic, data)
             except OSError as error:
                 self.on_fault(error)
 
         return write
 
-    def _write(self, topic: topics.Topic, data: bytes) -> None:
+    def _write(self, name: str, topic: topics.Topic, data: bytes) -> None:
         if self._writer is None:
             return
-        name = self.resolve_topic_name(topic.name)
         if name not in self._known:
             self._known.add(name)
             self._add(name, topic)

@@ -73,12 +73,7 @@ def running(
         context = cleanup.enter_context(ros(["--ros-args", "--log-level", log_level], domain_id))
         spin = make_executor(executor, context)
         spinner = Spinner(spin)
-        observer = Observer(
-            on_change=spinner.wake,
-            context=context,
-            namespace=namespace,
-            use_global_arguments=False,
-        )
+        observer = Observer(context=context, namespace=namespace, use_global_arguments=False)
         spin.add_node(observer)
         cleanup.callback(observer.destroy_node)
         cleanup.callback(spin.shutdown)
