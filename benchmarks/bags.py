@@ -235,12 +235,13 @@ def write_long(folder: Path, samples: int) -> None:
     mark = Patch(Sample(values=[1.5, 2.5]))
     at = mark(0).index(struct.pack("<2d", 1.5, 2.5))
     with BagWriter(folder) as bag:
-        for name, kind in (
-            ("plant_info", "PlantInfo"),
-            ("outputs", "Sample"),
-            ("inputs", "Sample"),
-            ("controller/state", "ControllerState"),
-        ):
+        kinds = {
+            "plant_info": "PlantInfo",
+            "outputs": "Sample",
+            "inputs": "Sample",
+            "controller/state": "ControllerState",
+        }
+        for name, kind in kinds.items():
             bag.add_topic(f"/bench/{name}", f"deepc_msgs/msg/{kind}")
         bag.write("/bench/plant_info", to_cdr(info), 0)
         for k, u in enumerate(rng.uniform(-1, 1, (samples, 2))):

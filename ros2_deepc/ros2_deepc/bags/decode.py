@@ -4,9 +4,10 @@
 
 import re
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import groupby
 from types import SimpleNamespace
 from typing import Any
 
@@ -115,25 +116,63 @@ def _message(name: str, types: Mapping[str, tuple[Field, ...]], order: str, done
         return done[name]
     if name not in types:
         raise BagError(f"the definition of {name} is missing")
-    readers = [(f.name, _field(f, types, order, done)) for f in types[name]]
-    if not readers:  # an empty struct travels as one byte
-        readers = [("structure_needs_at_least_one_member", _number("uint8", order))]
+    parts = [
+        (
+            tuple(f.name for f in run),
+            _group([f.type for f in run], order) if plain else _field(run[0], types, order, done),
+        )
+        for plain, run in _runs(types[name])
+    ]
+    if not parts:  # an empty struct travels as one byte
+        parts = [(("structure_needs_at_least_one_member",), _group(["uint8"], order))]
 
     def read(data: memoryview, at: int) -> tuple[Any, int]:
-        values = {}
-        for field, reader in readers:
-            values[field], at = reader(data, at)
+        values: dict[str, Any] = {}
+        for names, reader in parts:
+            value, at = reader(data, at)
+            if isinstance(value, tuple):
+                values.update(zip(names, value, strict=True))
+            else:
+                values[names[0]] = value
         return SimpleNamespace(**values), at
 
     done[name] = read
     return read
 
 
+def _runs(fields: tuple[Field, ...]) -> Iterator[tuple[bool, list[Field]]]:
+    """Fields in order, neighbouring single numbers together: (True, numbers) or (False, [one other field])."""
+    for plain, run in groupby(fields, key=lambda f: f.type in NUMBERS and f.length is None):
+        if plain:
+            yield True, list(run)
+        else:
+            yield from ((False, [field]) for field in run)
+
+
+def _group(kinds: list[str], order: str) -> _Read:
+    """Reads neighbouring numbers with one call: one format, its padding written out, for each place it may start at."""
+    formats = []
+    for start in range(8):
+        code, at = order, start
+        for kind in kinds:
+            size = struct.calcsize(order + NUMBERS[kind])
+            padding = -at % size
+            code += "x" * padding + NUMBERS[kind]
+            at += padding + size
+        formats.append((struct.Struct(code).unpack_from, at - start))
+
+    def read(data: memoryview, at: int) -> tuple[Any, int]:
+        unpack, size = formats[at & 7]
+        return unpack(data, at), at + size
+
+    return read
+
+
 def _field(field: Field, types: Mapping[str, tuple[Field, ...]], order: str, done: dict[str, _Read]) -> _Read:
     if field.type == "wstring":
         raise BagError(f"field {field.name}: wstring is not supported")
-    if field.type in NUMBERS:
-        return _number(field.type, order) if field.length is None else _numbers(field.type, field.length, order)
+    if field.type in NUMBERS and field.length is not None:
+        return _numbers(field.type, field.length, order)
     single = _string(order) if field.type == "string" else _message(field.type, types, order, done)
     return single if field.length is None else _sequence(single, field.length, order)
 

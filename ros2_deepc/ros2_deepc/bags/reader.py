@@ -4,19 +4,21 @@
 
 import os
 import re
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import yaml
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, ChunkIndex, Message, Metadata, Schema
 
 from .decode import Decoder, decoder
 from .errors import BagError, why
 from .layout import MARKER, METADATA
-from .scan import BROKEN, Damage, read_attachments, read_summary, scan
+from .scan import BROKEN, Damage, chunk_messages, read_attachments, read_summary, scan
 
 
 class RawMessage(NamedTuple):
@@ -121,11 +123,11 @@ class BagReader:
         wanted = None if topics is None else set(topics)
         for file in self.files:
             source = _from_index(file, wanted, start, end) if self._indexed[file] else _from_front(file)
-            for topic, kind, message in source:
-                if wanted is not None and topic not in wanted:
+            for message in source:
+                if wanted is not None and message.topic not in wanted:
                     continue
                 if (start is None or message.log_time >= start) and (end is None or message.log_time < end):
-                    yield RawMessage(topic, kind, message.log_time, message.publish_time, message.data)
+                    yield message
 
     def decoded(self, topics: Iterable[str] | None = None) -> Iterator[tuple[RawMessage, Any]]:
         """Yields each message with its decoded form, see ``ros2_deepc.bags.decode``."""
@@ -226,24 +228,48 @@ def _number(path: Path) -> tuple[int, str]:
     return (int(match[1]) if match else -1, path.name)
 
 
-def _from_index(
-    file: Path, topics: set[str] | None, start: int | None, end: int | None
-) -> Iterator[tuple[str, str, Message]]:
+def _from_index(file: Path, topics: set[str] | None, start: int | None, end: int | None) -> Iterator[RawMessage]:
+    """Messages in the order of log time; only chunks that overlap in time are in memory together."""
+    summary = read_summary(file)
+    assert summary is not None
+    schemas = {key: schema.name for key, schema in summary.schemas.items()}
+    channels = {c.id: (c.topic, schemas.get(c.schema_id, "")) for c in summary.channels.values()}
+    pending: list[RawMessage] = []
     try:
         with file.open("rb") as stream:
-            reader = SeekingReader(stream, validate_crcs=True)
-            for schema, channel, message in reader.iter_messages(topics, starting_at=start, ending_before=end):
-                yield channel.topic, schema.name if schema else "", message
+            for entry in sorted(summary.chunk_indexes, key=lambda c: (c.message_start_time, c.chunk_start_offset)):
+                if not _matters(entry, channels, topics, start, end):
+                    continue
+                ready = bisect_left(pending, entry.message_start_time, key=_log_time)
+                yield from pending[:ready]
+                stream.seek(entry.chunk_start_offset + 9)
+                found = chunk_messages(stream.read(entry.chunk_length - 9))
+                pending = pending[ready:] + [RawMessage(*channels[c], *rest) for c, *rest in found]
+                pending.sort(key=_log_time)
     except BROKEN as error:
         raise BagError(f"{file} is damaged inside ({why(error)}): check it and repair it into a new bag") from error
+    yield from pending
 
 
-def _from_front(file: Path) -> Iterator[tuple[str, str, Message]]:
+_log_time = attrgetter("log_time")
+
+
+def _matters(
+    entry: ChunkIndex, channels: dict[int, tuple[str, str]], topics: set[str] | None, start: int | None, end: int | None
+) -> bool:
+    """Whether a chunk may hold a wanted message."""
+    if (start is not None and entry.message_end_time < start) or (end is not None and entry.message_start_time >= end):
+        return False
+    held = entry.message_index_offsets
+    return topics is None or not held or any(channels[c][0] in topics for c in held if c in channels)
+
+
+def _from_front(file: Path) -> Iterator[RawMessage]:
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
     for record in scan(file):
         if isinstance(record, Message) and record.channel_id in channels:
-            yield *channels[record.channel_id], record
+            yield RawMessage(*channels[record.channel_id], record.log_time, record.publish_time, record.data)
         elif isinstance(record, Schema):
             schemas[record.id] = record.name
         elif isinstance(record, Channel):

@@ -17,11 +17,12 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, Footer, Header, Message, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, breakup_chunk
+from mcap.stream_reader import CRCValidationError, breakup_chunk, get_chunk_data_stream
 from mcap.summary import Summary
 
 from .errors import why
 
+_HEAD, _MESSAGE = struct.Struct("<BQ").unpack_from, struct.Struct("<HIQQ").unpack_from
 MAGIC = b"\x89MCAP0\r\n"
 _TAIL = 1 + 8 + 20 + 8  # the footer record and the magic behind it
 _KEPT = {
@@ -174,6 +175,29 @@ def _record(file: BinaryIO, opcode: int, at: int, length: int) -> Iterator[Any]:
 
 
 def _chunk(chunk: Chunk) -> list[Any]:
-    if chunk.uncompressed_size > 1 << 30:
-        raise ValueError(f"claims {chunk.uncompressed_size} bytes")
+    _sane(chunk)
     return list(breakup_chunk(chunk, validate_crc=True))
+
+
+def chunk_messages(body: bytes) -> list[tuple[int, int, int, bytes]]:
+    """The messages of a chunk record as (channel, log time, publish time, data), without any of the other records.
+
+    Raises:
+        One of BROKEN: if the chunk is damaged.
+    """
+    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+    _sane(chunk)
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    data, at, found = stream.read(size), 0, []
+    while at < size:
+        opcode, length = _HEAD(data, at)
+        if opcode == Opcode.MESSAGE:
+            channel, _, log_time, publish_time = _MESSAGE(data, at + 9)
+            found.append((channel, log_time, publish_time, data[at + 31 : at + 9 + length]))
+        at += 9 + length
+    return found
+
+
+def _sane(chunk: Chunk) -> None:
+    if chunk.uncompressed_size > 1 << 30:
+        raise ValueError(f"a chunk claims {chunk.uncompressed_size} bytes")
