@@ -31,6 +31,9 @@ class Names:
 ON_CIRCLE = 1e-6
 """Modes this near to the unit circle count as on it, as do those that noise could move there."""
 
+CLEAR = 100
+"""When fewer than q directions are seen, all must exceed the noise so many times before a drop of rank means a mode."""
+
 SLOW = Names("1*", "3*", "q")
 WHOLE = Names("2*", "4*", "n")
 
@@ -183,13 +186,14 @@ def _controllability(data: Compression, pencil: Pencil, low: Minimum, q: int, ep
         if proof.counterexample is not None:
             low = low.moved(pencil, proof.counterexample)
     at = f"lambda = {low.lambda_:.6g}"
-    if low.kappa <= eps:
+    clear = pencil.q == q or data.sigma[pencil.q - 1] > CLEAR * eps
+    if low.kappa <= eps and clear:
         verdict = Verdict.NOT_PROVED
         reason = f"the pencil is within the noise bound of losing rank at {at}: consistent with an uncontrollable mode"
     elif pencil.q < q:
         verdict = Verdict.UNDECIDED
         reason = (
-            f"the {pencil.q} directions seen are controllable, but {names.order} = {q} are needed: "
+            f"only {pencil.q} of the {names.order} = {q} directions are seen: "
             "the others are unobservable, never excited, or below the noise"
         )
     elif not proof.complete:
