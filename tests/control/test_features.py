@@ -253,6 +253,20 @@ def test_shifted_plan_then_fallback_when_nothing_is_feasible(solver, plant_form,
     assert np.isnan(result.distance)
 
 
+def test_the_second_solver_answers_where_the_first_gives_up(plant_form, loop):
+    """Output limits at a price of 1e5 wear OSQP out on this plant; the answers are the exact ones all the same."""
+    how = {**BASE, "R": 1e-3, "terminal": "none", "y_max": [0.5, 0.2], "y_min": [-0.5, 0.0], "slack_weight": 1e5}
+    results = {}
+    for solver in SOLVERS:
+        run = loop(plant_form(3), DeepcSettings(**how, solver=solver), 2).collect()
+        results[solver] = [run.step([2.0, 1.0]) for _ in range(20)]
+    assert sum(r.status is Status.SECOND_SOLVER for r in results["osqp"]) > 10
+    assert {r.status for r in results["daqp"]} == {Status.SOLVED}
+    assert {r.solver for r in results["osqp"] if r.status is Status.SECOND_SOLVER} == {"daqp"}
+    assert all("osqp: " in r.reason for r in results["osqp"] if r.status is Status.SECOND_SOLVER)
+    assert max(np.abs(a.u - b.u).max() for a, b in zip(*results.values(), strict=True)) < 1e-3
+
+
 def test_bad_samples_are_refused_and_change_nothing(plant_form, loop):
     run = loop(plant_form(13), DeepcSettings(**BASE, solver="daqp"), 13).collect()
     before = run.step([1.0, 0.0])

@@ -77,9 +77,8 @@ class Truncation:
             return min(alive, self.order)
         if self.how == "noise":
             return int(np.count_nonzero(sv > max(rounding, self.floor)))
-        if self.how == "gap" and alive:
-            ratios = sv[:alive] / np.append(sv[1:alive], max(rounding, sv[alive] if alive < sv.size else 0.0))
-            return int(np.argmax(ratios)) + 1
+        if self.how == "gap" and alive == sv.size > 1:  # otherwise the largest gap is that to rounding
+            return int(np.argmax(sv[:-1] / sv[1:])) + 1
         return alive
 
 
