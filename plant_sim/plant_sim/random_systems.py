@@ -214,3 +214,29 @@ def random_system(
         c_observable=not hidden and len(blocks) <= p and unobservable_blocks == 0,
         A1=A1, B1=B1, C1=C1, N=N, B2=B2, C2=C2, D=D, S=S, P=P,
     )  # fmt: skip
+
+
+LOST = ((), (0.5,), (1.0,), (0.5 + 0.3j,), (1.1, -0.4), (1.0, 1.0))
+UNSEEN = ((), (0.7,), (1.0,), (0.2 + 0.8j,))
+
+
+def random_planted(rng: np.random.Generator, conditioning: float = 10.0) -> Planted:
+    """A random system of random size: m, p in 1..4, q in 0..12, s in 1..3, about half of them with something lost.
+
+    What is lost are modes of `LOST` from the inputs, of `UNSEEN` from the outputs, and Jordan blocks of N from either.
+    """
+    m, p = (int(v) for v in rng.integers(1, 5, 2))
+    q, s = int(rng.integers(0, 13)), int(rng.integers(1, 4))
+    count = int(rng.integers(0 if q else 1, 4))
+    blocks = [s, *(int(b) for b in rng.integers(1, s + 1, count - 1))] if count else []
+    lost = LOST[rng.integers(len(LOST))] if rng.random() < 0.5 else ()
+    unseen = UNSEEN[rng.integers(len(UNSEEN))] if rng.random() < 0.5 else ()
+    # an eigenvalue shared by k modes needs k inputs, or k outputs, to be reached and seen otherwise
+    shared = 1.0 in lost and 1.0 in unseen
+    if order(lost) + order(unseen) > q or (p == 1 and (lost == (1.0, 1.0) or shared)) or (m == 1 and shared):
+        lost, unseen = (), ()
+    cut, hidden = (int(rng.integers(0, count + 1)) if rng.random() < 0.3 else 0 for _ in range(2))
+    return random_system(
+        m=m, p=p, q=q, blocks=blocks, uncontrollable=lost, unobservable=unseen, uncontrollable_blocks=cut,
+        unobservable_blocks=hidden, conditioning=conditioning, seed=rng,
+    )  # fmt: skip

@@ -88,7 +88,9 @@ def _probe(A: Array, B: Array, point: Point) -> Point:
     """Compass search around a point, with steps from four times the singular value found down to a twentieth of it."""
     sigma, z, w = point
     step = 4 * sigma
-    while step > 0.05 * sigma > 1e-7:  # smaller minima are narrow, and the alternation has found them
+    for _ in range(25):
+        if not step > 0.05 * sigma > 1e-7:  # smaller minima are narrow, and the alternation has found them
+            break
         for direction in (1, -1, 1j, -1j):
             new_sigma, new_w = _weakest_at(A, B, z + step * direction)
             if new_sigma < sigma:
@@ -142,18 +144,21 @@ def _invariant(w: Array, z: complex) -> Array:
     return np.asarray(linalg.qr(np.column_stack([w.real, w.imag]), mode="economic")[0])
 
 
-def reach(A: Array, B: Array, floor: float) -> Reach:
+def reach(A: Array, B: Array, noise_A: float, noise_B: float) -> Reach:
     """Decides which modes of (A, B) are reachable, one unreachable mode after the other being split off.
 
     Args:
         A: shape (q, q).
         B: shape (q, m); its overall size does not matter.
-        floor: relative rounding level of A and of B.
+        noise_A: rounding level of the entries of A.
+        noise_B: rounding level of the entries of B; a B of this size is taken as zero.
     """
     q = len(A)
     size = float(linalg.norm(B, 2)) if B.size else 0.0
-    B = B / size if size > 0 else np.zeros_like(B)
-    floor = max(floor, 100 * q * EPS) * max(1.0, float(linalg.norm(A, 2)) if q else 0.0)
+    nothing = size <= 100 * noise_B
+    B = np.zeros_like(B) if nothing else B / size
+    scale = max(1.0, float(linalg.norm(A, 2)) if q else 0.0)
+    floor = max(noise_A, 0.0 if nothing else noise_B / size, 30 * q * EPS * scale)
     reachable, lost = np.eye(q), np.empty((q, 0))
     modes: list[complex] = []
     margin, at = np.inf, complex(np.nan)

@@ -71,23 +71,9 @@ class Structure:
 
 
 def _rounding(left: Array, middle: Array, right: Array) -> float:
-    """Rounding level of left @ middle @ right relative to its size (to 1 at least for a square map)."""
+    """Rounding level of the entries of left @ middle @ right."""
     product = np.abs(left) @ np.abs(middle) @ np.abs(right)
-    return 2 * EPS * float(product.max(initial=0.0))
-
-
-def _slow_floors(system: DescriptorSystem, form: Weierstrass) -> tuple[float, float]:
-    """Relative rounding levels of (A1, B1) and (A1, C1)."""
-    S1, P1 = form.S[: form.q], form.P[:, : form.q]
-    dynamics = _rounding(S1, system.A, P1)
-
-    def relative(part: Array, level: float) -> float:
-        size = float(linalg.norm(part, 2)) if part.size else 0.0
-        return level / size if size > 0 else 0.0
-
-    floor_B = relative(form.B1, _rounding(S1, system.B, np.eye(system.m)))
-    floor_C = relative(form.C1, _rounding(np.eye(system.p), system.C, P1))
-    return max(dynamics, floor_B), max(dynamics, floor_C)
+    return EPS * float(product.max(initial=0.0))
 
 
 def _conserved(system: DescriptorSystem, form: Weierstrass, floor: float) -> Array:
@@ -133,12 +119,12 @@ def structure(system: DescriptorSystem) -> Structure:
         UnclearStructureError: if the split between finite and infinite modes is hidden by rounding.
     """
     form = system.weierstrass()
-    floor_B, floor_C = _slow_floors(system, form)
-    control = reach(form.A1, form.B1, floor_B)
-    observe = reach(form.A1.T, form.C1.T, floor_C)
+    S1, P1 = form.S[: form.q], form.P[:, : form.q]
+    noise = _rounding(S1, system.A, P1)
+    control = reach(form.A1, form.B1, noise, _rounding(S1, system.B, np.eye(system.m)))
+    observe = reach(form.A1.T, form.C1.T, noise, _rounding(np.eye(system.p), system.C, P1))
     control_margin, fast_controllable = _fast(system, system.B, 1)
     observe_margin, fast_observable = _fast(system, system.C, 0)
-    P1 = form.P[:, : form.q]
     return Structure(
         controllability=control,
         observability=observe,
