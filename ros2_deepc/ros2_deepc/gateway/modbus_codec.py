@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .errors import LinkError
 
-Registers = Sequence[int] | NDArray[np.uint16]
+Registers = Sequence[int] | NDArray[np.integer[Any]]
 
 TYPES: dict[str, np.dtype[Any]] = {
     "int16": np.dtype(">i2"),

@@ -83,7 +83,7 @@ class ModbusServer:
         """
         placeholder = SimDevice(1, simdata=[SimData(0, count=1, values=0, datatype=DataType.REGISTERS)])
         server = ModbusTcpServer(placeholder, address=(self._host, self._port))
-        server.context = self._registers  # type: ignore[assignment]
+        server.context = self._registers
         try:
             await server.serve_forever(background=True)
         except (RuntimeError, OSError):
