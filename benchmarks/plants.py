@@ -4,8 +4,8 @@
 
     python benchmarks/plants.py [--systems 2000] [--networks FOLDER]
 
-Prints tables and exits with 1 if a claim fails. FOLDER may hold any .inp files (wntr ships Net1, Net2, Net3, Net6, ...).
-Grids come from pypower, and Net3's second opinion from wntr, where they are installed.
+Prints tables and exits with 1 if a claim fails. FOLDER may hold any .inp files (wntr ships some).
+Grids come from pypower and Net3's second opinion from wntr, where installed.
 """
 
 import argparse
@@ -37,7 +37,7 @@ def claim(text, holds):
 
 
 def check(planted, rng):
-    """Of one system: wrong q, r or s; wrong answers; answers called clear; residual of a run; streaming has other bits."""
+    """Of one system: wrong q, r, s; number of wrong answers; all clear; residual of a run; other bits in the stream."""
     system, form, found = planted.system, planted.system.weierstrass(), planted.system.structure()
     wrong = (form.q, form.r, form.s) != (planted.q, planted.r, planted.s)
     answers = [

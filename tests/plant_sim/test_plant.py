@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 
 import dataclasses
+import re
 import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError, entry_points, version
@@ -256,3 +257,23 @@ def test_random_modes_fill_the_order():
 def test_impossible_random_systems_are_refused(arguments, message):
     with pytest.raises(PlantError, match=message):
         random_system(m=1, p=1, **arguments)
+
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "plants.md"
+
+
+def blocks(language):
+    return re.findall(rf"```{language}\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
+
+
+def test_examples_of_the_documentation_run(town, tmp_path, monkeypatch):
+    written(tmp_path, CASE9.read_text(), "case9.m")
+    town()
+    monkeypatch.chdir(tmp_path)
+    for code in blocks("python"):
+        exec(compile(code, str(DOCUMENT), "exec"), {"print": lambda *_: None})
+    plants = [load(written(tmp_path, text)) for text in blocks("yaml")]
+    assert [plant.name for plant in plants] == ["my_grid", "my_town", "two_tanks"]
+    assert plants[0].system.structure().r_observable
+    for plant in plants:
+        assert plant.name in describe(plant)

@@ -17,51 +17,6 @@ from plant_sim.water import NET3, from_inp, head_model
 
 WNTR = json.loads((Path(__file__).parent / "data" / "net3_hour5_wntr.json").read_text())
 
-TOWN = """
-[JUNCTIONS]
- J1 10 20
- J2 12 15
- J3 5 8
- J4 0 5
- J5 3 4
-[RESERVOIRS]
- R 60
- LOW 15
-[TANKS]
- T 62 5 0 10 15 0
-[PIPES]
- P0 R J1 500 400 {rough} 0 Open
- P1 J1 J2 800 300 {rough} 2 Open
- P2 J2 J3 700 250 {rough} 0 Open
- P3 J1 J3 1200 250 {rough} 0 Open
- P4 J5 T 300 300 {rough} 0 Open
- P5 J4 LOW 900 150 {rough} 0 Open
-[PUMPS]
- U J3 J5 HEAD C SPEED 0.9
-[VALVES]
- V J2 J4 200 {valve} 0
-[CURVES]
-{curve}
-[OPTIONS]
- Units LPS
- Headloss {formula}
-[TIMES]
- Duration 2:00
- Hydraulic Timestep 1:00
-[END]
-"""
-CURVES = {
-    "one": " C 40 30",
-    "three": " C 0 45\n C 40 30\n C 80 5",
-    "many": " C 0 45\n C 20 41\n C 40 30\n C 60 18\n C 90 2",
-}
-
-
-def town(folder, *, formula="H-W", rough=110, valve="TCV 5", curve="three"):
-    path = folder / "town.inp"
-    path.write_text(TOWN.format(formula=formula, rough=rough, valve=valve, curve=CURVES[curve]))
-    return path
-
 
 def epanet_heads(path, hour, change, sign):
     """EPANET's heads at ``hour`` and what was changed, once the levels of that hour are reached."""
@@ -205,17 +160,17 @@ def test_net3_pump_speed_agrees_with_epanet():
     agree(NET3, 2, "pump:335", speed_up("335"), 5e-3)
 
 
-@pytest.mark.parametrize("curve", CURVES)
+@pytest.mark.parametrize("curve", ["one", "three", "many"])
 @pytest.mark.parametrize(("formula", "rough"), [("H-W", 110), ("D-W", 0.3), ("C-M", 0.012)])
-def test_formulas_agree_with_epanet(tmp_path, formula, rough, curve):
-    path = town(tmp_path, formula=formula, rough=rough, curve=curve)
+def test_formulas_agree_with_epanet(town, formula, rough, curve):
+    path = town(formula=formula, rough=rough, curve=curve)
     agree(path, 0, "J3", inject("J3"), 2e-3)
     agree(path, 0, "pump:U", speed_up("U"), 2e-3)
 
 
 @pytest.mark.parametrize("valve", ["TCV 5", "PRV 20", "PSV 40", "FCV 3", "PBV 4"])
-def test_valves_agree_with_epanet(tmp_path, valve):
-    path = town(tmp_path, valve=valve)
+def test_valves_agree_with_epanet(town, valve):
+    path = town(valve=valve)
     agree(path, 0, "J3", inject("J3"), 2e-3)
     if valve != "PBV 4":
         agree(path, 0, "J1", inject("J1"), 2e-3)
@@ -228,15 +183,15 @@ def test_valves_agree_with_epanet(tmp_path, valve):
         ("Demand Model PDA\n Required Pressure 60\n Pressure Exponent 0.5", ""),
     ],
 )
-def test_pressure_dependent_outflow_agrees_with_epanet(tmp_path, option, section):
-    path = town(tmp_path)
+def test_pressure_dependent_outflow_agrees_with_epanet(town, option, section):
+    path = town()
     path.write_text(path.read_text().replace("[OPTIONS]", f"{section}\n[OPTIONS]\n {option}"))
     assert sum(node.relief > 0 for node in snapshot(path, 0).nodes) == (1 if section else 4)
     agree(path, 0, "pump:U", speed_up("U"), 2e-3)
 
 
-def test_valve_that_holds_a_head_passes_the_injection_on(tmp_path):
-    path = town(tmp_path, valve="PRV 20")
+def test_valve_that_holds_a_head_passes_the_injection_on(town):
+    path = town(valve="PRV 20")
     plant = from_inp(path, 0, inputs=["J4", "J2"], outputs=["J4", "J2", "T"], tau=60.0)
     run = plant.system.simulate(np.eye(2)[[0, 0, 0]])
     np.testing.assert_allclose(run.y[:, 0], 0, atol=1e-12)  # J4 is held
@@ -245,9 +200,9 @@ def test_valve_that_holds_a_head_passes_the_injection_on(tmp_path):
     agree(path, 0, "J4", inject("J4"), 2e-3)
 
 
-def test_water_is_conserved(tmp_path):
+def test_water_is_conserved(town):
     """What is injected ends in the tank or in a reservoir, step by step."""
-    path = town(tmp_path)
+    path = town()
     plant = from_inp(path, 0, inputs=["J1"], tau=60.0, discretisation="euler")
     model = head_model(snapshot(path, 0))
     assert model.names[:3] == ("R", "LOW", "T")
@@ -257,8 +212,8 @@ def test_water_is_conserved(tmp_path):
     np.testing.assert_allclose(stored + into_reservoirs, 60.0, rtol=1e-9)
 
 
-def test_cut_off_parts_are_named(tmp_path):
-    path = town(tmp_path)
+def test_cut_off_parts_are_named(town):
+    path = town()
     closed = (
         path.read_text()
         .replace("[OPTIONS]", "[STATUS]\n V Closed\n P5 Closed\n[OPTIONS]")
@@ -293,10 +248,10 @@ def test_wrong_requests(options, message):
         from_inp(NET3, **({"hour": 5} | options))
 
 
-def test_unusable_files(tmp_path):
+def test_unusable_files(town, tmp_path):
     with pytest.raises(PlantError, match="no such file"):
         from_inp(tmp_path / "none.inp")
-    path = town(tmp_path)
+    path = town()
     good = path.read_text()
     for text, message in (
         (good.replace("P1 J1 J2", "P1 J1 J9"), r"EPANET cannot read town.inp: Error 203: undefined node J9"),
@@ -308,10 +263,10 @@ def test_unusable_files(tmp_path):
             from_inp(path, 0)
 
 
-def test_no_convergence_is_said(tmp_path, monkeypatch):
+def test_no_convergence_is_said(town, monkeypatch):
     monkeypatch.setattr(hydraulics, "TRIALS", 2)
     with pytest.raises(PlantError, match=r"does not converge on town.inp at hour 0: relative flow change \d"):
-        snapshot(town(tmp_path), 0)
+        snapshot(town(), 0)
 
 
 def test_any_network_has_the_same_interface():
