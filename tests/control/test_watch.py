@@ -30,7 +30,10 @@ def test_outputs_beyond_their_bounds_are_named():
 
 def test_only_a_window_full_of_errors_counts_and_output_that_never_moved_does_not():
     watch = taught(trip_error=1.5, trip_window=4)
+    assert watch.look([0.0, 99.0], [99.0, 0.0]) == ""  # a single surprise
     for _ in range(3):
+        assert watch.look([0.0, 99.0], [1.0, 0.0]) == ""
+    for _ in range(2):
         assert watch.look([0.0, 99.0], [2.0, 0.0]) == ""
     assert "off by 2 times" in watch.look([0.0, 99.0], [2.0, 0.0])
     watch.clear()

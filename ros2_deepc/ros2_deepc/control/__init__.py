@@ -6,5 +6,16 @@ from .controller import DeepcController
 from .excitation import Excitation
 from .result import NotReadyError, Status, StepResult
 from .settings import DeepcSettings
+from .tune import Trial, Tuning, tune
 
-__all__ = ["DeepcController", "DeepcSettings", "Excitation", "NotReadyError", "Status", "StepResult"]
+__all__ = [
+    "DeepcController",
+    "DeepcSettings",
+    "Excitation",
+    "NotReadyError",
+    "Status",
+    "StepResult",
+    "Trial",
+    "Tuning",
+    "tune",
+]

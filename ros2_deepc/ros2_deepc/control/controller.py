@@ -74,7 +74,7 @@ class DeepcController:
         self._due = False  # the window has moved since the last preparation
         self._prepare_time = 0.0
 
-    def tune(self, **changes: Any) -> None:
+    def adjust(self, **changes: Any) -> None:
         """Changes settings that need no new data, from the next sample on: weights, limits, mask, terminal, solver, ...
 
         Raises:
@@ -86,7 +86,7 @@ class DeepcController:
         self._limiter = Limiter(self._sized.u_min, self._sized.u_max, self._sized.du_max)
         self._dithers = bool(self._sized.dither.any())
         self._planner = Planner(self._sized)
-        self._data.tune(self._sized)
+        self._data.adjust(self._sized)
         self._goal_key = None
 
     # What the data can do

@@ -81,7 +81,7 @@ class RunData:
             self._now = Snapshot(self._records(), self._sized, self._layout, scale)
         return self._now
 
-    def tune(self, sized: Sized) -> None:
+    def adjust(self, sized: Sized) -> None:
         """Takes settings that differ in nothing that the data depend on."""
         self._sized = sized
 
