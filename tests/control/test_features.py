@@ -61,12 +61,12 @@ def test_a_masked_output_is_not_chased(plant_form, loop):
 def test_mask_weights_and_limits_change_while_running(plant_form, loop):
     run = loop(plant_form(4), DeepcSettings(**BASE, terminal="none", solver="daqp"), 4).collect()
     run.step([3.0, 3.0])
-    run.controller.adjust(u_max=0.2, R=0.1, mask=[1.0, 0.0])
+    run.controller.tune(u_max=0.2, R=0.1, mask=[1.0, 0.0])
     assert run.step([30.0, 3.0]).u_plan.max() <= 0.2 + 1e-9
     with pytest.raises(ValueError, match="N cannot change while running"):
-        run.controller.adjust(N=7)
+        run.controller.tune(N=7)
     with pytest.raises(ValueError, match="no u"):
-        run.controller.adjust(u_min=3.0)
+        run.controller.tune(u_min=3.0)
     assert run.step([30.0, 3.0]).u_plan.max() <= 0.2 + 1e-9  # a refused change changes nothing
 
 

@@ -74,7 +74,7 @@ class DeepcController:
         self._due = False  # the window has moved since the last preparation
         self._prepare_time = 0.0
 
-    def adjust(self, **changes: Any) -> None:
+    def tune(self, **changes: Any) -> None:
         """Changes settings that need no new data, from the next sample on: weights, limits, mask, terminal, solver, ...
 
         Raises:
