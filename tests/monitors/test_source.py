@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plant_sim import random_system
-from ros2_deepc.behavior import hankel
+from ros2_deepc.behavior import SlidingFactor, hankel
 from ros2_deepc.monitors import Prior, Verdict, analyze, analyze_factor, analyze_records
 
 
@@ -76,3 +76,22 @@ def test_factor_too_shallow_is_said(plant):
     report = analyze_factor(R, 2, 2, H.shape[1], prior=Prior(q=4, s=2), L=4)
     assert report.r_controllability.verdict == Verdict.UNDECIDED
     assert "depth 4" in report.r_controllability.reason
+
+
+@pytest.mark.parametrize("columns", [60, 150])
+def test_sliding_factor_shared_with_the_controller(plant, cut, columns):
+    for p in (plant, cut):
+        u, y = piece(p, 400, 5)
+        w = np.hstack([u[:400], y])
+        sliding = SlidingFactor(channels=4, blocks=8, columns=columns)
+        for k, sample in enumerate(w):
+            sliding.push(sample)
+            if k % 97 == 96:
+                newest = slice(k + 1 - columns - 7, k + 1) if k >= columns + 7 else slice(0, k + 1)
+                prior = Prior(q=4, s=2)
+                by_factor = analyze_factor(sliding.factor().T, 2, 2, sliding.held, prior=prior, L=4)
+                H, _ = factor_of(u[newest], y[newest], 8)
+                fresh = analyze_factor(H, 2, 2, H.shape[1], prior=prior, L=4)
+                assert by_factor.r_controllability.verdict == fresh.r_controllability.verdict
+                if p is plant and fresh.r_controllability.verdict == Verdict.PROVED:
+                    assert by_factor.r_controllability.margin == pytest.approx(fresh.r_controllability.margin, abs=1e-6)

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +17,8 @@ from .fast import whole_state
 from .noise import Noise, as_noise
 from .printed import PrintedTheorems
 from .source import Factor, Source, from_factor, from_records
-from .theorems import Outcome, better, decide, merge, nothing
-from .verdict import Prior, Report, StructureEstimate
+from .theorems import SLOW, Outcome, better, decide, merge, nothing
+from .verdict import Prior, Report, StructureEstimate, Verdict
 
 ROWS = 700
 """Rows of data matrices beyond which no longer window is tried unasked."""
@@ -106,13 +107,15 @@ def _analyze(source: Source, prior: Prior, L: int | None, noise: Noise) -> Repor
     if L is not None and L < 1:
         raise ValueError(f"L = {L} must be at least 1")
     noise.per_output(source.y_scale)
-    lengths = _lengths(source, prior, L, exact=noise.source == "exact")
+    exact = noise.source == "exact"
+    lengths = _lengths(source, prior, L, exact=exact)
     best: Tried | None = None
     for length in lengths:
         trial = _at(source, prior, length, noise)
-        if best is None or better(trial.outcome, best.outcome):
+        seen = trial.outcome.observability.verdict == Verdict.PROVED
+        if best is None or (better(trial.outcome, best.outcome) and (seen or not exact)):
             best = trial
-        if not trial.outcome.open:
+        if not trial.outcome.open or (seen and exact):
             break
     if best is None:
         return _too_short(source, prior, L or _shortest(source, prior), noise)
@@ -132,7 +135,8 @@ def _need(source: Source, prior: Prior, L: int) -> int:
 def _lengths(source: Source, prior: Prior, L: int | None, *, exact: bool) -> list[int]:
     """Window lengths to try, best guess first; all fit the data.
 
-    q rows are never less than the lag: enough without noise. With noise the best length depends on the plant.
+    q rows are never less than the lag: enough without noise, but for rounding. With noise the best length depends on
+    the plant.
     """
 
     def too_long(length: int) -> bool:
@@ -144,7 +148,7 @@ def _lengths(source: Source, prior: Prior, L: int | None, *, exact: bool) -> lis
     longest = first(too_long, source.samples + 1) - 1
     start = max(prior.q, shortest)
     affordable = max(start, ROWS // (source.m + source.p))
-    wanted = (start,) if exact else (shortest + 1, start, 2 * start, 4 * start, 8 * start)
+    wanted = (start, 2 * start) if exact else (shortest + 1, start, 2 * start, 4 * start, 8 * start)
     lengths = [min(length, longest, affordable) for length in wanted]
     return [length for length in dict.fromkeys(lengths) if length >= shortest]
 
@@ -157,11 +161,12 @@ def _at(source: Source, prior: Prior, L: int, noise: Noise) -> Tried:
         level = noise.level(data, source.y_scale, q)
     except ValueError as error:
         return Tried(nothing(str(error)), data, np.zeros(source.p))
-    outcome = decide(data, q, noise.hankel_bound(data, level))
+    names = replace(SLOW, bound=noise.wording)
+    outcome = decide(data, q, noise.hankel_bound(data, level), names)
     past = -(-q // source.m) + 1
     if noise.averages and outcome.open and source.columns(L, d, past) >= source.m * (d + past):
         kept = source.window(L, d, past)
-        outcome = merge(outcome, decide(kept, q, noise.hankel_bound(kept, level)))
+        outcome = merge(outcome, decide(kept, q, noise.hankel_bound(kept, level), names))
     return Tried(outcome, data, level)
 
 

@@ -67,7 +67,7 @@ def _with_feedthrough(source: Source, prior: Prior, L: int, noise: Noise, level:
         blank = _blank(f"{need - have} more columns needed: {have} cannot hold rank {need} at L = {L}")
         return blank, blank
     data = source.without_feedthrough(D).window(L, L)
-    outcome = decide(data, prior.n, noise.hankel_bound(data, level), WHOLE)
+    outcome = decide(data, prior.n, noise.hankel_bound(data, level), replace(WHOLE, bound=noise.wording))
     return outcome.controllability, outcome.observability
 
 

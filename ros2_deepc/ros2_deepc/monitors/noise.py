@@ -47,6 +47,11 @@ class Noise:
         return "given" if np.any(self._level) else "exact"
 
     @property
+    def wording(self) -> str:
+        """What a proof calls the bound."""
+        return "the estimated bound" if self.estimated else "the bound"
+
+    @property
     def averages(self) -> bool:
         """Whether keeping fewer directions of the columns lets less noise through."""
         return self.source != "exact" and (self.estimated or self.bound is None)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .compress import EPS, Array, Compression
+from .compress import EPS, ROUNDING, Array, Compression
 
 Complex = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
@@ -191,5 +191,5 @@ def reduce(data: Compression, q: int) -> Pencil:
     J = data.per_input(np.vstack([Z @ data.R21[bottom], Z @ data.R21[top]]))
     blocks = J.reshape(2, -1, data.d, data.m).transpose(0, 2, 1, 3).copy()
     M = data.inverse.reshape(-1, data.d, data.m).transpose(1, 0, 2).copy()
-    floor = 10 * EPS * float(np.linalg.norm(J) * np.linalg.norm(data.R11))
+    floor = ROUNDING * EPS * float(np.linalg.norm(J) * np.linalg.norm(data.R11))
     return Pencil(M, blocks[0], blocks[1], Z @ X[bottom], Z @ X[top], float(np.cos(np.pi / (data.L + 1))), floor)

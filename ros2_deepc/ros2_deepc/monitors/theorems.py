@@ -21,11 +21,12 @@ from .verdict import Finding, Mode, Verdict
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """How a pair of tests speaks."""
+    """How a pair of tests speaks: its theorems, the dimension it shows, and how the noise bound is known."""
 
     control: str
     observe: str
     order: str
+    bound: str = "the bound"
 
 
 ON_CIRCLE = 1e-6
@@ -144,7 +145,9 @@ def _observability(data: Compression, seen: int, q: int, eps: float, names: Name
         )
     elif q == 0 or deciding > eps:
         verdict = Verdict.PROVED
-        reason = f"the window has rank {base + q}, all that {names.order} = {q} allows, for any noise within the bound"
+        reason = (
+            f"the window has rank {base + q}, all that {names.order} = {q} allows, for any noise within {names.bound}"
+        )
     else:
         verdict = Verdict.NOT_PROVED
         reason = (
@@ -204,7 +207,7 @@ def _controllability(data: Compression, pencil: Pencil, low: Minimum, q: int, ep
     else:
         verdict = Verdict.PROVED
         reason = (
-            f"the pencil keeps full rank at every lambda for any noise within the bound; nearest to losing it at {at}"
+            f"the pencil keeps its rank at every lambda for any noise within {names.bound}; nearest to a loss: {at}"
         )
     sigma = low.sigma
     return Finding(
