@@ -198,6 +198,48 @@ def bench_record(folder: Path, seconds: float = 60.0) -> Iterator[str]:
         yield "BROKEN: the recorder's memory grows"
 
 
+def bench_loop(folder: Path, rounds: int = 3, steps: int = 1000) -> Iterator[str]:
+    """Samples a second of the lockstep loop in one process, with and without the recorder, in turns."""
+    rates: dict[bool, list[float]] = {True: [], False: []}
+    for turn in range(2 * rounds):
+        recorded = turn % 2 == 0
+        rates[recorded].append(loop_rate(folder / f"loop{turn}", recorded, steps))
+    with_it, without = (float(np.median(rates[recorded])) for recorded in (True, False))
+    yield f"loop    {with_it:.0f} samples/s with the recorder, {without:.0f} without: {with_it / without:.0%}"
+    if with_it < 0.4 * without:
+        yield "BROKEN: the recorder more than halves the loop"
+
+
+def loop_rate(folder: Path, recorded: bool, steps: int) -> float:
+    """Runs the 9-bus grid in lockstep; samples a second from the first one in control to the last."""
+    from ros2_deepc.nodes.config import load, merged, shipped, text_of
+    from ros2_deepc.nodes.stack import running
+    from ros2_deepc.ros import topics
+    from ros2_deepc.ros.qos import profile
+
+    one = int(recorded)
+    readers = {
+        "plant": {"readers": 3 + one, "steps": steps},  # controller, observer, our own, recorder
+        "controller": {"readers_inputs": 1 + one, "readers_state": 1 + one, "T": 104},
+        "operator": {"readers": 1 + one},
+        "recorder": {"folder": str(folder / "bag")},
+    }
+    folder.mkdir()
+    settings = folder / "settings.yaml"
+    settings.write_text(text_of(merged(load(shipped("wscc9")), readers)))
+    roles = [*(["recorder"] if recorded else []), "controller", "operator", "plant"]
+    times: list[float] = []
+    with running(roles, settings, namespace="/bench", domain_id=98) as stack:
+        seen = stack.observer
+        qos = profile(topics.OUTPUTS)
+        seen.create_subscription(topics.OUTPUTS.type, "outputs", lambda _: times.append(time.perf_counter()), qos)
+        stack.spinner.until(lambda: bool(stack.failure()) or len(times) == steps)
+        if stack.failure():
+            raise RuntimeError(stack.failure())
+        stack.finish()
+    return (steps - 150) / (times[-1] - times[149])
+
+
 def bench_long(folder: Path, samples: int = 1_000_000) -> Iterator[str]:
     """A long bag: written, loaded, summed up, reported; and the monitors on it again."""
     from ros2_deepc.bags.cores import MonitorCore
@@ -254,7 +296,7 @@ def write_long(folder: Path, samples: int) -> None:
 
 
 def main() -> int:
-    tables = {"write": bench_write, "read": bench_read, "record": bench_record, "long": bench_long}
+    tables = {"write": bench_write, "read": bench_read, "record": bench_record, "loop": bench_loop, "long": bench_long}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tables", nargs="*", choices=[*tables, []], help="default: all")
     parser.add_argument("--samples", type=int, default=1_000_000, help="of the long bag")
