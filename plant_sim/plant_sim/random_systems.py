@@ -116,6 +116,62 @@ def _fast_weakest(N: Array, B: Array) -> float:
     return float(linalg.svdvals(np.hstack([N, B]))[-1]) if len(N) else np.inf
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Plan:
+    """What to draw. States come in this order: ``rest``, those cut from the inputs, those cut from the outputs."""
+
+    m: int
+    p: int
+    modes: tuple[complex, ...] | None
+    radius: tuple[float, float]
+    uncontrollable: tuple[complex, ...]
+    unobservable: tuple[complex, ...]
+    blocks: tuple[int, ...]
+    rest: int
+
+    @property
+    def bad(self) -> int:
+        return order(self.uncontrollable)
+
+    @property
+    def q(self) -> int:
+        return self.rest + self.bad + order(self.unobservable)
+
+
+Parts = tuple[Array, Array, Array, Array, Array, Array]  # A1, B1, C1, N, B2, C2
+
+
+def _draw(plan: _Plan, rng: np.random.Generator) -> Parts | None:
+    """Parts in modal coordinates, nothing cut yet; None if what shall stay is not clear of being lost."""
+    q, rest = plan.q, plan.rest
+    free = plan.modes if plan.modes is not None else random_modes(rest, rng, plan.radius)
+    A1 = _modal([*free, *plan.uncontrollable, *plan.unobservable])
+    B1, C1 = rng.standard_normal((q, plan.m)), rng.standard_normal((plan.p, q))
+    N = linalg.block_diag(*(np.eye(b, k=1) for b in plan.blocks)) if plan.blocks else np.empty((0, 0))
+    B2, C2 = rng.standard_normal((len(N), plan.m)), rng.standard_normal((plan.p, len(N)))
+    seen, reached = slice(0, rest + plan.bad), np.r_[0:rest, rest + plan.bad : q]
+    clear = (
+        _weakest(A1[np.ix_(reached, reached)], B1[reached]) > MARGIN
+        and _weakest(A1[seen, seen].T, C1[:, seen].T) > MARGIN
+        and (len(plan.blocks) > plan.m or _fast_weakest(N, B2) > MARGIN)
+        and (len(plan.blocks) > plan.p or _fast_weakest(N.T, C2.T) > MARGIN)
+    )
+    return (A1, B1, C1, N, B2, C2) if clear else None
+
+
+def _mix(parts: Parts, D: Array, mixers: Sequence[tuple[Array, Array]]) -> DescriptorSystem:
+    """The system with S E P = diag(I, N), S A P = diag(A1, I); ``mixers`` are S and P with their inverses."""
+    A1, B1, C1, N, B2, C2 = parts
+    (_, S_inverse), (_, P_inverse) = mixers
+    return DescriptorSystem(
+        S_inverse @ linalg.block_diag(np.eye(len(A1)), N) @ P_inverse,
+        S_inverse @ linalg.block_diag(A1, np.eye(len(N))) @ P_inverse,
+        S_inverse @ np.vstack([B1, B2]),
+        np.hstack([C1, C2]) @ P_inverse,
+        D,
+    )
+
+
 def random_system(
     *,
     m: int,
@@ -168,51 +224,34 @@ def random_system(
         raise PlantError("a system needs at least one state: q or blocks")
     if modes is not None and order(modes) != rest:
         raise PlantError(f"modes take {order(modes)} states, but {rest} are left")
-    for _ in range(TRIES):
-        drawn = modes if modes is not None else random_modes(rest, rng, radius)
-        A1 = _modal([*drawn, *uncontrollable, *unobservable])
-        B1, C1 = rng.standard_normal((q, m)), rng.standard_normal((p, q))
-        N = linalg.block_diag(*(np.eye(b, k=1) for b in blocks)) if blocks else np.empty((0, 0))
-        B2, C2 = rng.standard_normal((len(N), m)), rng.standard_normal((p, len(N)))
-        seen, reached = slice(0, rest + bad), np.r_[0:rest, rest + bad : q]
-        ends = np.cumsum(blocks, dtype=int) - 1  # last state of each block takes the input, the first is what is seen
-        if (
-            _weakest(A1[np.ix_(reached, reached)], B1[reached]) > MARGIN
-            and _weakest(A1[seen, seen].T, C1[:, seen].T) > MARGIN
-            and (len(blocks) > m or _fast_weakest(N, B2) > MARGIN)
-            and (len(blocks) > p or _fast_weakest(N.T, C2.T) > MARGIN)
-        ):
-            break
-    else:
+    plan = _Plan(
+        m=m, p=p, modes=None if modes is None else tuple(modes), radius=radius, blocks=blocks, rest=rest,
+        uncontrollable=tuple(uncontrollable), unobservable=tuple(unobservable),
+    )  # fmt: skip
+    parts = next(filter(None, (_draw(plan, rng) for _ in range(TRIES))), None)
+    if parts is None:
         raise PlantError("no draw is clear of lost modes: ask for fewer equal eigenvalues, or more inputs and outputs")
+    A1, B1, C1, N, B2, C2 = parts
     B1[rest : rest + bad] *= uncontrollable_gain
     C1[:, rest + bad :] *= unobservable_gain
+    ends = np.cumsum(blocks, dtype=int) - 1  # the last state of a block takes the input, the first is what is seen
     B2[ends[len(blocks) - uncontrollable_blocks :]] = 0.0
-    first = ends - np.array(blocks, dtype=int) + 1
-    C2[:, first[len(blocks) - unobservable_blocks :]] = 0.0
+    C2[:, (ends - np.array(blocks, dtype=int) + 1)[len(blocks) - unobservable_blocks :]] = 0.0
 
     T, T_inverse = _mixer(q, conditioning, rng) if q else (np.empty((0, 0)),) * 2
     A1, B1, C1 = T @ A1 @ T_inverse, T @ B1, C1 @ T_inverse
-    n = q + len(N)
-    S, S_inverse = _mixer(n, conditioning, rng)
-    P, P_inverse = _mixer(n, conditioning, rng)
+    mixers = [_mixer(q + len(N), conditioning, rng) for _ in "SP"]
     D = rng.standard_normal((p, m)) if feedthrough else np.zeros((p, m))
-    system = DescriptorSystem(
-        S_inverse @ linalg.block_diag(np.eye(q), N) @ P_inverse,
-        S_inverse @ linalg.block_diag(A1, np.eye(len(N))) @ P_inverse,
-        S_inverse @ np.vstack([B1, B2]),
-        np.hstack([C1, C2]) @ P_inverse,
-        D,
-    )
     cut, hidden = bad > 0 and uncontrollable_gain == 0, blind > 0 and unobservable_gain == 0
     return Planted(
-        system=system, q=q, r=len(N), s=max(blocks, default=1), blocks=blocks,
+        system=_mix((A1, B1, C1, N, B2, C2), D, mixers),
+        q=q, r=len(N), s=max(blocks, default=1), blocks=blocks,
         uncontrollable_modes=tuple(map(complex, uncontrollable)) if cut else (),
         unobservable_modes=tuple(map(complex, unobservable)) if hidden else (),
         r_controllable=not cut, r_observable=not hidden,
         c_controllable=not cut and len(blocks) <= m and uncontrollable_blocks == 0,
         c_observable=not hidden and len(blocks) <= p and unobservable_blocks == 0,
-        A1=A1, B1=B1, C1=C1, N=N, B2=B2, C2=C2, D=D, S=S, P=P,
+        A1=A1, B1=B1, C1=C1, N=N, B2=B2, C2=C2, D=D, S=mixers[0][0], P=mixers[1][0],
     )  # fmt: skip
 
 

@@ -162,3 +162,21 @@ def test_same_bits_in_another_process_with_other_threads():
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == fingerprint()
+
+
+@pytest.mark.parametrize(
+    ("shape", "form", "outputs"),
+    [
+        ((0, 1, 1), (0, 0, 1), [2.0]),
+        ((2, 0, 1), (2, 0, 1), [0.0]),
+        ((2, 1, 0), (2, 0, 1), []),
+        ((1, 1, 1), (1, 0, 1), [2.0]),
+    ],
+)
+def test_systems_may_lack_states_inputs_or_outputs(shape, form, outputs):
+    n, m, p = shape
+    system = DescriptorSystem(np.eye(n), 0.5 * np.eye(n), np.ones((n, m)), np.ones((p, n)), 2 * np.ones((p, m)))
+    have = system.weierstrass()
+    assert (have.q, have.r, have.s) == form
+    assert system.simulate(np.ones((4, m))).y[0].tolist() == outputs
+    assert system.structure().r_controllable == (m > 0 and n < 2)

@@ -12,8 +12,9 @@ import pytest
 from epanet import toolkit
 
 from plant_sim import PlantError, hydraulics, net3
+from plant_sim.heads import head_model
 from plant_sim.hydraulics import PUMP, project, snapshot
-from plant_sim.water import NET3, from_inp, head_model
+from plant_sim.water import NET3, from_inp
 
 WNTR = json.loads((Path(__file__).parent / "data" / "net3_hour5_wntr.json").read_text())
 
