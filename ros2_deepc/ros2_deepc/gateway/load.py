@@ -10,10 +10,10 @@ import numpy as np
 
 from . import modbus_codec as codec
 from .located import Section, Value, parse, read
-from .places import at_of, base_of, clash, link_of, nth, words
+from .places import at_of, base_of, clash, link_of, nth, serve_of, words
 from .tags import BEAT, ECHO, PEER, SCAN, At, ModbusAt, PlantFacts, ReadTag, Supervision, TagMap, WriteTag
 
-_SECTIONS = ("plant", "link", "sampling", "supervision", "fallback", "heartbeat", "round_trip", "defaults")
+_SECTIONS = ("plant", "link", "sampling", "supervision", "fallback", "heartbeat", "round_trip", "defaults", "serve")
 _MOST = 100_000  # tags of one entry
 _COUNTERS = {"int16": 2**15, "uint16": 2**16, "int32": 2**31, "uint32": 2**32}
 
@@ -52,11 +52,25 @@ def build(top: Section) -> TagMap:
     if beat is not None and part["heartbeat"] is not None:
         written.append((beat, part["heartbeat"].place("write")))
     _one_writer(written)
+    serve = serve_of(part["serve"]) if part["serve"] else None
     top.done()
     return TagMap(
         file=top.value.file, plant=plant, kind=kind, link=link, by=by, speed=speed, poll=poll,
         supervision=supervision, outputs=outputs, inputs=inputs, counters=counters, beat=beat, modulus=modulus,
+        serve=serve, places=_positions(top),
     )  # fmt: skip
+
+
+def _positions(top: Section) -> dict[str, tuple[int, int]]:
+    """Line and column of every entry of outputs and inputs; those of an entry with a count share one."""
+    found: dict[str, tuple[int, int]] = {}
+    for kind in ("outputs", "inputs"):
+        i = 0
+        for item in top.need(kind).items():
+            for _ in range(item.section().whole("count", 1)):
+                found[f"{kind}.{i}"] = item.position
+                i += 1
+    return found
 
 
 def _optional(top: Section, name: str) -> Section | None:

@@ -32,9 +32,14 @@ class Value:
 
     def fail(self, problem: str) -> NoReturn:
         """Raises a GatewayError with file, line, column and path."""
-        mark = self.node.start_mark
+        line, column = self.position
         name = f"{self.path}: " if self.path else ""
-        raise GatewayError(f"{self.file}, line {mark.line + 1}, column {mark.column + 1}: {name}{problem}")
+        raise GatewayError(f"{self.file}, line {line}, column {column}: {name}{problem}")
+
+    @property
+    def position(self) -> tuple[int, int]:
+        """Line and column, from 1."""
+        return self.node.start_mark.line + 1, self.node.start_mark.column + 1
 
     def text(self, choices: Sequence[str] = ()) -> str:
         """A string; one of ``choices`` if there are any."""

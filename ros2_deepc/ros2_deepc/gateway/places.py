@@ -7,11 +7,12 @@ import ipaddress
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 from urllib.parse import urlsplit
 
 from . import modbus_codec as codec
 from .located import Section
-from .tags import At, ModbusAt, OpcuaAt, RosAt
+from .tags import At, ModbusAt, OpcuaAt, RosAt, Serve
 
 KINDS = ("modbus", "opcua", "ros")
 OPCUA_TYPES = ("Double", "Float", "Int16", "Int32", "Int64", "UInt16", "UInt32", "UInt64")
@@ -89,7 +90,22 @@ def link_of(section: Section) -> tuple[str, ModbusLink | OpcuaLink | RosLink]:
     return kind, link
 
 
+def serve_of(section: Section) -> Serve:
+    """Settings of the section ``serve``."""
+    common = _opcua_common(section)
+    if not common["insecure"] and not common["user"]:
+        section.value.fail("give user and password_env, or allow_insecure_loopback: true")
+    section.done()
+    return Serve(**common)
+
+
 def _opcua(section: Section) -> OpcuaLink:
+    common = _opcua_common(section)
+    return OpcuaLink(timeout=section.number("timeout", 1.0, above=0.0), **common)
+
+
+def _opcua_common(section: Section) -> dict[str, Any]:
+    """What clients and servers have in common."""
     url = section.need("url", "e.g. opc.tcp://127.0.0.1:4840").text()
     try:
         parts = urlsplit(url)
@@ -105,14 +121,8 @@ def _opcua(section: Section) -> OpcuaLink:
     password_env = section.text("password_env", "")
     if bool(user) != bool(password_env):
         section.value.fail("user and password_env (the name of an environment variable) belong together")
-    return OpcuaLink(
-        url=url,
-        timeout=section.number("timeout", 1.0, above=0.0),
-        insecure=insecure,
-        pki=section.text("pki", "pki"),
-        user=user,
-        password_env=password_env,
-    )
+    pki = section.text("pki", "pki")
+    return {"url": url, "insecure": insecure, "pki": pki, "user": user, "password_env": password_env}
 
 
 def _modbus_at(section: Section, base: ModbusAt | None) -> ModbusAt:

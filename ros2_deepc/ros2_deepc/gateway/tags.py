@@ -181,6 +181,25 @@ class Supervision:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Serve:
+    """A read-only OPC UA server for whoever wants to look.
+
+    Attributes:
+        url: where it listens.
+        insecure: no encryption and no users, on the loopback only.
+        pki: folder of certificates.
+        user: who may read.
+        password_env: environment variable with the password.
+    """
+
+    url: str
+    insecure: bool
+    pki: str
+    user: str
+    password_env: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TagMap:
     """A field device and the zone it serves.
 
@@ -198,6 +217,8 @@ class TagMap:
         counters: the counters SCAN, PEER and ECHO, those that there are, in this order.
         beat: the counter that the gateway writes, or None.
         modulus: count at which each counter starts again from 0, by role.
+        serve: the server for whoever wants to look, or None.
+        places: line and column of each entry, e.g. of ``outputs.0``.
     """
 
     file: str
@@ -213,6 +234,8 @@ class TagMap:
     counters: tuple[ReadTag, ...]
     beat: WriteTag | None
     modulus: Mapping[str, int]
+    serve: Serve | None = None
+    places: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def period(self) -> float:
