@@ -37,6 +37,8 @@ PARAMETERS = (
     Param("seed", 0, "seed of the plant's own randomness, e.g. its initial state", low=0),
     Param("steps", 0, "run length; 0 = endless", unit="samples", low=0),
     Param("speed", 1.0, "realtime only: how many times faster than the plant's own time", low=1e-6, high=1e9),
+    Param("hold", 10, "realtime only: longest time without inputs for which the last ones are held", "samples", low=0),
+    Param("safe", [0.0], "realtime only: input after that, one for all or shape (m,)", "input units"),
     Param("readers", 0, "lockstep only: subscribers of outputs to wait for before the first sample", low=0),
 )
 
@@ -146,6 +148,8 @@ class PlantNode(ManagedNode):
         """Makes the plant and its topics."""
         self.plant = self.plant_of(self.p)
         self._lockstep = self.p["mode"] == "lockstep"
+        self._epoch = 0
+        self._safe = self._safe_input()
         self._period = period_ns(self.plant.sample_time)
         lockstep, Ts = self._lockstep, self.plant.sample_time / self.p["speed"]
         self._info = self.advertise(topics.PLANT_INFO)
@@ -157,7 +161,8 @@ class PlantNode(ManagedNode):
 
     def activate(self) -> None:
         """Starts the run: a fresh plant, its description, then it waits for inputs 0."""
-        self._epoch = 1
+        # Somebody who starts again in real time must not be taken for the run before.
+        self._epoch = self._epoch + 1 if self._lockstep else self.get_clock().now().nanoseconds // 10**9 % 2**32
         self._stepper = self.plant.start(self.p["seed"])
         self._k = 0  # the next inputs to take
         self._last: np.ndarray | None = None
@@ -174,6 +179,12 @@ class PlantNode(ManagedNode):
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
+
+    def _safe_input(self) -> np.ndarray:
+        m = len(self.plant.input_names)
+        if len(self.p["safe"]) not in (1, m):
+            raise ConfigError(f"plant: safe has {len(self.p['safe'])} entries, give one or {m}")
+        return np.clip(np.broadcast_to(self.p["safe"], (m,)), self.plant.input_min, self.plant.input_max)
 
     @property
     def finished(self) -> bool:
@@ -210,13 +221,22 @@ class PlantNode(ManagedNode):
         u = self._pending.pop(self._k, None)
         if u is None:
             assert self._last is not None
-            self._held += 1
             self.held_samples += 1
-            self.get_logger().warning(f"no inputs {self._k} in time, holding the last ones", throttle_duration_sec=5.0)
-            u = self._last
+            u = self._hold(self._last)
         else:
             self._held = 0
         self._step(u)
+
+    def _hold(self, last: np.ndarray) -> np.ndarray:
+        """The input of a tick for which none came."""
+        if self._held == Sample.OWN_INPUT or self._held >= self.p["hold"]:
+            if self._held != Sample.OWN_INPUT:
+                self.get_logger().error(f"no inputs for {self._held + 1} samples: the plant goes to its safe input")
+            self._held = Sample.OWN_INPUT
+            return self._safe
+        self._held += 1
+        self.get_logger().warning(f"no inputs {self._k} in time, holding the last ones", throttle_duration_sec=5.0)
+        return last
 
     def _step(self, u: np.ndarray) -> None:
         if self.finished:

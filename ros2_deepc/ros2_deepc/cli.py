@@ -18,6 +18,7 @@ app = typer.Typer(
 # In the order of --help; by module, so that a command pays only for what it imports.
 COMMANDS = {
     "demo": "demo",
+    "run": "run",
     "plants": "plants",
     "replay": "replay",
     "report": "bags",

@@ -28,6 +28,7 @@ _LIGHTS = (
     ("C-obsv", "c_observability"),
 )
 _REDRAW = 0.1  # [s]
+_ENDLESS = 100  # samples a line of an endless run
 _LINES = 10  # lines of progress where there is no terminal to redraw
 
 
@@ -37,12 +38,13 @@ class Dashboard:
     Args:
         console: where to draw.
         observer: node that keeps the newest messages.
-        steps: run length K.
+        steps: run length K; 0 = endless.
         title: what is running.
     """
 
     def __init__(self, console: Console, observer: Any, steps: int, title: str) -> None:
-        self._console, self._observer, self._steps, self._title = console, observer, steps, title
+        self._console, self._observer, self._title = console, observer, title
+        self._steps = steps  # 0 = endless
         self._live = Live(console=console, auto_refresh=False, transient=False) if console.is_terminal else None
         self._drawn = 0.0
         self._printed = -1
@@ -69,17 +71,24 @@ class Dashboard:
             if now - self._drawn > _REDRAW:
                 self._drawn = now
                 self._live.update(self._picture(), refresh=True)
-        elif state is not None and (part := (int(state.k) + 1) * _LINES // self._steps) > self._printed:
+        elif state is not None and (part := self._part(int(state.k) + 1)) > self._printed:
             self._printed = part
             self._console.print(self._line(), soft_wrap=True)
 
+    def _part(self, done: int) -> int:
+        """Which line of progress is due: tenths of a run with an end, else every hundred samples."""
+        return done * _LINES // self._steps if self._steps else done // _ENDLESS
+
     def _line(self) -> Text:
         state = self._observer.state
-        text = Text(f"  k {state.k + 1:>5} of {self._steps}  {_MODES[state.mode]:<11} ")
+        text = Text(f"  k {state.k + 1:>5}{self._of()}  {_MODES[state.mode]:<11} ")
         if state.solver:
             text.append(f"{state.solver} {1e3 * state.solve_time:.2f} ms  ")
         text.append_text(self._lights())
         return text
+
+    def _of(self) -> str:
+        return f" of {self._steps}" if self._steps else ""
 
     def _lights(self) -> Text:
         report = self._observer.report
@@ -97,8 +106,8 @@ class Dashboard:
         head.add_row(
             Text(self._title, style="bold"),
             Text(mode, style="cyan"),
-            ProgressBar(total=self._steps, completed=done, width=30),
-            f"k {done} of {self._steps}",
+            ProgressBar(total=self._steps or None, completed=done, width=30, pulse=not self._steps),
+            f"k {done}{self._of()}",
             "" if state is None or not state.solver else f"{state.solver} {1e3 * state.solve_time:.2f} ms",
         )
         values = Table("output", "value", "reference", "unit", box=None, padding=(0, 2))

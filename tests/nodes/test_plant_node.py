@@ -133,7 +133,7 @@ def test_a_run_ends_after_its_last_sample(bench):
 
 def test_real_time_holds_the_last_input_and_says_so(bench):
     node, hand, until = bench(plant="wscc9", mode="realtime", speed=50.0, lockstep=False)
-    hand.send(0, [0.5, 0.0, 0.0])
+    hand.send(0, [0.5, 0.0, 0.0], epoch=hand.infos[0].epoch)
     until(lambda: len(hand.outputs) >= 4)
     held = [msg.held for msg in hand.outputs[:4]]
     assert held == [0, 1, 2, 3]
@@ -143,6 +143,19 @@ def test_real_time_holds_the_last_input_and_says_so(bench):
     expected = [reference.push(np.array([0.5, 0.0, 0.0])) for _ in range(4)]
     np.testing.assert_array_equal([msg.values for msg in hand.outputs[:4]], expected)
     assert node.held_samples >= 3
+
+
+def test_real_time_goes_to_its_safe_input_when_nobody_answers(bench):
+    _, hand, until = bench(plant="wscc9", mode="realtime", speed=50.0, hold=2, safe=[0.25], lockstep=False)
+    hand.send(0, [0.5, 0.0, 0.0], epoch=hand.infos[0].epoch)
+    until(lambda: len(hand.outputs) >= 5)
+    assert [msg.held for msg in hand.outputs[:5]] == [0, 1, 2, Sample.OWN_INPUT, Sample.OWN_INPUT]
+    reference = PlantNode.plant_of({"plant": "wscc9"}).start(0)
+    inputs = [[0.5, 0.0, 0.0]] * 3 + [[0.25] * 3] * 2
+    expected = [reference.push(np.array(u)) for u in inputs]
+    np.testing.assert_array_equal([msg.values for msg in hand.outputs[:5]], expected)
+    hand.send(hand.outputs[-1].k + 20, [0.5, 0.0, 0.0], epoch=hand.infos[0].epoch)
+    until(lambda: any(msg.held == 0 for msg in hand.outputs[1:]))
 
 
 class IndexTwoNode(PlantNode):

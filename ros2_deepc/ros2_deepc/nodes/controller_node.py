@@ -107,11 +107,11 @@ PARAMETERS = (
     _row(
         "trip_error",
         math.inf,
-        "mean prediction error that ends in the fallback; 1 = as wrong as no prediction, measured on the data",
+        "median prediction error that ends in the fallback; 1 = as wrong as no prediction, measured on the data",
         low=1e-9,
         high=math.inf,
     ),
-    _row("trip_window", 10, "samples of that mean", "samples", low=1, high=100_000),
+    _row("trip_window", 10, "samples of that median", "samples", low=1, high=100_000),
     _row("ramp", 20, "length of the fallback's ramp", "samples", low=1, high=100_000),
     _row("shadow", False, "start in SHADOW: compute and report, move nothing"),
     _row("excitation", "uniform", "signal while collecting", choices=get_args(Signal)),

@@ -25,6 +25,8 @@ PARAMETERS = (
     ),
 )
 
+_PATIENCE = 5.0  # [s] for the last messages, when others go on publishing
+
 
 def _subscription_qos(topic: topics.Topic) -> QoSProfile:
     """Takes whatever is offered; never lets a message overwrite another before it is written."""
@@ -46,6 +48,7 @@ class RecorderNode(ManagedNode):
         super().__init__("recorder", **kwargs)
         self.messages = 0
         self._last_message = time.monotonic()
+        self._stopping = 0.0
         self._writer: BagWriter | None = None
         self._known: set[str] = set()
 
@@ -65,8 +68,10 @@ class RecorderNode(ManagedNode):
             self.resources.callback(self.destroy_subscription, tap)
 
     def drained(self) -> bool:
-        """Whether nothing has arrived for a while, so that the bag may be closed."""
-        return time.monotonic() - self._last_message > self.p["idle"]
+        """Whether nothing has arrived for a while, or others just go on, so that the bag may be closed."""
+        now = time.monotonic()
+        self._stopping = self._stopping or now
+        return now - self._last_message > self.p["idle"] or now - self._stopping > _PATIENCE
 
     def _close(self) -> None:
         if self._writer is not None:

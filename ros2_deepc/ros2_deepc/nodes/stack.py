@@ -115,11 +115,11 @@ class _InProcess:
 
     def finish(self) -> None:
         for node in self._nodes:
-            drained = getattr(node, "drained", None)
-            if drained is None:
+            if not hasattr(node, "drained"):
                 node.quiesce()
-            elif not node.fault:
-                self._spinner.until(drained)
+        for node in self._nodes:
+            if hasattr(node, "drained") and not node.fault:
+                self._spinner.until(node.drained)
         self._executor.shutdown()  # nothing may be taken off the graph while an executor still looks at it
         for node in self._nodes:
             node.stop()
