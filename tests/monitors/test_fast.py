@@ -71,9 +71,17 @@ def test_dimensions_refute(rng):
     r = report(rng, random_system(m=1, p=2, q=2, blocks=(1, 1), seed=1))
     assert r.c_controllability.verdict == Verdict.REFUTED
     assert (r.c_controllability.rank, r.c_controllability.required) == (1, 2)
-    assert r.c_observability.verdict == Verdict.NOT_PROVED  # 4* needs the fast states reached as well
+    assert r.c_observability.verdict == Verdict.NOT_DECIDABLE  # what no input reaches never moves
     r = report(rng, random_system(m=2, p=1, q=2, blocks=(1, 1), seed=1))
     assert r.c_observability.verdict == Verdict.REFUTED
+    assert r.c_controllability.verdict == Verdict.NOT_DECIDABLE
+
+
+@pytest.mark.parametrize("blocks", [(2, 1), (3,)])
+def test_few_slow_states_beside_many_fast_ones(rng, blocks):
+    r = report(rng, random_system(m=2, p=2, q=1, blocks=blocks, seed=2))
+    assert r.c_controllability.verdict == Verdict.PROVED
+    assert r.c_observability.verdict == Verdict.PROVED
 
 
 def test_without_fast_part_c_is_r(rng):

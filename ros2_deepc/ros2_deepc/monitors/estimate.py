@@ -97,7 +97,10 @@ def estimate_structure(
     if s_max < 1:
         raise ValueError(f"s_max = {s_max} must be at least 1")
     source, level = from_records([(u, y)], s_max), as_noise(noise)
-    best, stalled, L = StructureEstimate(), 0, 1
+    first_length = (
+        -(-6 // source.p) if level.estimated else 1
+    )  # a level is estimated from what lies beyond half the rows
+    best, stalled, L = StructureEstimate(), 0, first_length
     while stalled < 3:
         trial = _at(source, level, L, s_max)
         if trial is None:
@@ -115,7 +118,7 @@ def _at(source: Source, level: Noise, L: int, s_max: int) -> StructureEstimate |
     data = source.window(L, d)
     if data.inverse is None:
         return None
-    noise = level.level(data, source.y_scale, data.sigma.size // 2)
+    noise = level.level(data, source.y_scale, 0)
     eps = level.hankel_bound(data, noise) + data.floor
     ranks = visible_ranks(data, eps)
     q = ranks[-1]

@@ -42,13 +42,14 @@ def whole_state(
         return blank, blank
     if prior.r == 0:
         return slow.controllability, slow.observability
+    refuted = _by_dimensions(source.m, source.p, prior)
+    if refuted:
+        return refuted
     if level is None:
-        pair = slow.controllability, slow.observability
-    elif prior.D is None:
-        pair = _without_feedthrough(prior, slow, estimate, exact=noise.source == "exact")
-    else:
-        pair = _with_feedthrough(source, prior, L, noise, level)
-    return _by_dimensions(source.m, source.p, prior, pair)
+        return slow.controllability, slow.observability
+    if prior.D is None:
+        return _without_feedthrough(prior, slow, estimate, exact=noise.source == "exact")
+    return _with_feedthrough(source, prior, L, noise, level)
 
 
 def _blank(reason: str, verdict: Verdict = Verdict.UNDECIDED) -> Finding:
@@ -60,7 +61,7 @@ def _with_feedthrough(source: Source, prior: Prior, L: int, noise: Noise, level:
     D = np.asarray(prior.D, dtype=np.float64)
     if D.shape != (source.p, source.m):
         raise ValueError(f"prior D must have shape (p, m) = {(source.p, source.m)}, got {D.shape}")
-    L = max(L, -(-prior.n // source.p))
+    L = max(L, prior.q, prior.r, -(-prior.n // source.p))
     need = source.m * L + prior.n
     have = source.columns(L, L)
     if have < need:
@@ -109,14 +110,27 @@ def _without_feedthrough(prior: Prior, slow: Outcome, estimate: StructureEstimat
     return pair[0], pair[1]
 
 
-def _by_dimensions(m: int, p: int, prior: Prior, pair: Pair) -> Pair:
-    """Refutes what the dimensions exclude: s m inputs reach and s p outputs see at most that many fast states."""
-    control, observe = pair
+def _by_dimensions(m: int, p: int, prior: Prior) -> Pair | None:
+    """What the dimensions exclude: s m inputs reach and s p outputs see at most that many fast states; None if nothing.
+
+    Where one property is refuted, the other is not a matter of data: fast states that no input reaches never move, and
+    those that no output sees show nothing.
+    """
     r, s = prior.r, prior.s
+    reach = f"{m} inputs reach at most s m = {s * m} of the r = {r} fast states"
+    see = f"{p} outputs see at most s p = {s * p} of the r = {r} fast states"
+    if r <= s * m and r <= s * p:
+        return None
     if r > s * m:
-        reason = f"{m} inputs reach at most s m = {s * m} of the r = {r} fast states, whatever the plant"
-        control = Finding(verdict=Verdict.REFUTED, reason=reason, theorem="dimensions", rank=s * m, required=r)
+        control = _refuted(f"{reach}, whatever the plant", s * m, r)
+    else:
+        control = _blank(f"{see}: no data show whether inputs reach the others", Verdict.NOT_DECIDABLE)
     if r > s * p:
-        reason = f"{p} outputs see at most s p = {s * p} of the r = {r} fast states, whatever the plant"
-        observe = Finding(verdict=Verdict.REFUTED, reason=reason, theorem="dimensions", rank=s * p, required=r)
+        observe = _refuted(f"{see}, whatever the plant", s * p, r)
+    else:
+        observe = _blank(f"{reach}: the others never move, so no data show them", Verdict.NOT_DECIDABLE)
     return control, observe
+
+
+def _refuted(reason: str, rank: int, required: int) -> Finding:
+    return Finding(verdict=Verdict.REFUTED, reason=reason, theorem="dimensions", rank=rank, required=required)
