@@ -97,11 +97,10 @@ def estimate_structure(
     if s_max < 1:
         raise ValueError(f"s_max = {s_max} must be at least 1")
     source, level = from_records([(u, y)], s_max), as_noise(noise)
-    first_length = (
-        -(-6 // source.p) if level.estimated else 1
-    )  # a level is estimated from what lies beyond half the rows
+    # A level to be estimated needs windows in which most directions are noise: start longer and look further.
+    first_length, patience = (-(-6 // source.p), 12) if level.estimated else (1, 3)
     best, stalled, L = StructureEstimate(), 0, first_length
-    while stalled < 3:
+    while stalled < patience:
         trial = _at(source, level, L, s_max)
         if trial is None:
             break
