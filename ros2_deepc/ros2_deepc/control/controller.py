@@ -98,8 +98,11 @@ class DeepcController:
 
     @property
     def rank(self) -> int:
-        """Numerical rank of the window's data matrix [H_{N+L+s-1}(u); H_{N+L}(y)]."""
-        return self._data.snapshot.rank
+        """Numerical rank of the window's data matrix [H_{N+L+s-1}(u); H_{N+L}(y)].
+
+        Like `gap` and `excitation_order` counted anew at most once in T/100 samples, once in T/20 under control.
+        """
+        return self._data.display.rank
 
     @property
     def rank_need(self) -> int:
@@ -109,12 +112,12 @@ class DeepcController:
     @property
     def gap(self) -> float:
         """Singular value of the window's data matrix at its rank over the next one; infinity if there is none."""
-        return self._data.snapshot.gap
+        return self._data.display.gap
 
     @property
     def excitation_order(self) -> int:
         """Order of persistency of excitation of the inputs in the window; counted up to what is needed."""
-        return self._data.snapshot.excitation_order
+        return self._data.display.excitation_order
 
     @property
     def excitation_need(self) -> int:

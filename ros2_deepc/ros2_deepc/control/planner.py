@@ -91,7 +91,7 @@ class _Branch:
         f = self._f_goal + program.f_w @ w
         lower, upper = program.lower, program.upper
         if program.A.shape[0]:
-            move = program.A_w @ w + program.A_goal @ r
+            move = self.template.from_here(w, program.A_w) + program.A_goal @ r
             lower, upper = lower.copy(), upper.copy()
             lower[f.size :] -= move
             upper[f.size :] -= move

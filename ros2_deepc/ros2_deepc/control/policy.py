@@ -33,6 +33,8 @@ class RunData:
         self._ahead: list[Array] = []
         self._now: Snapshot | None = None
         self._first: Snapshot | None = None
+        self._shown: Snapshot | None = None
+        self._shown_at = 0
         self._stream: _Stream | None = None
         self._adopted: Predictor | None = None
         self._reference: Predictor | None = None  # of the first rich window, in scaled channels
@@ -58,7 +60,7 @@ class RunData:
         if self._stream is not None:
             self._stream.push(w)
         elif self.length >= self._sized.T and self.snapshot.rich:
-            self._first = self.snapshot
+            self._first = self._shown = self.snapshot
             if self.moves:
                 self._stream = _Stream(self._sized, self._first.scale)
                 self._stream.refill(self._window.records())
@@ -80,6 +82,14 @@ class RunData:
             scale = self._first.scale if self._first is not None else None
             self._now = Snapshot(self._records(), self._sized, self._layout, scale)
         return self._now
+
+    @property
+    def display(self) -> Snapshot:
+        """A recent snapshot, for people: ranks cost much more than a step."""
+        pause = self._sized.T // (20 if self._first is not None else 100)
+        if self._shown is None or self._window.pushed - self._shown_at > pause or not self._window.pushed:
+            self._shown, self._shown_at = self.snapshot, self._window.pushed
+        return self._shown
 
     def adjust(self, sized: Sized) -> None:
         """Takes settings that differ in nothing that the data depend on."""

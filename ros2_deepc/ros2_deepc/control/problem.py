@@ -73,6 +73,7 @@ class Template:
     def __init__(self, sized: Sized, known: int, last_input: slice, terminal: Terminal, relaxed: bool = False) -> None:
         m, p, L = sized.m, sized.p, sized.base.L
         self.sized, self.known, self.terminal = sized, known, terminal
+        self._last_input = last_input
         self.penalised = relaxed or terminal == "soft"
         self.block = move_blocking(sized, terminal)
         self.free = self.block.shape[1]
@@ -84,7 +85,7 @@ class Template:
         self.lower[: self.free] = np.tile(sized.u_min, self.free // m)
         self.upper[: self.free] = np.tile(sized.u_max, self.free // m)
         self.cost = _Cost(n, known, p * L)
-        moves, moves_w = self._moves(last_input)
+        moves, moves_w = self._moves()
         if terminal == "equilibrium":
             steady = self.inputs[-m:]
             self.cost.add(self.inputs - np.tile(steady, (L, 1)), None, sized.R)
@@ -96,18 +97,26 @@ class Template:
         if self.penalised:
             self.cost.add(self.inputs[-m * sized.base.tail :], None, sized.base.terminal_weight * sized.R)
         self.rows = _Rows(n, known, p * L)
-        if np.isfinite(sized.du_max).any():
+        self.slow = bool(np.isfinite(sized.du_max).any())
+        if self.slow:
             some = (np.abs(moves).sum(axis=1) + np.abs(moves_w).sum(axis=1)) > 0  # blocked moves cannot change
             limit = np.tile(sized.du_max, L)[some]
             self.rows.add(moves[some], moves_w[some], None, -limit, limit)
 
-    def _moves(self, last_input: slice) -> tuple[Array, Array]:
+    def from_here(self, w: Array, A_w: Array) -> Array:
+        """A_w w, with moves counted from the last input brought into its box: from outside no plan would be left."""
+        if self.slow:
+            w = w.copy()
+            w[self._last_input] = np.minimum(np.maximum(w[self._last_input], self.sized.u_min), self.sized.u_max)
+        return A_w @ w
+
+    def _moves(self) -> tuple[Array, Array]:
         """Changes of the inputs from one planned sample to the next, C x + D w."""
         m = self.sized.m
         C = self.inputs.copy()
         C[m:] -= self.inputs[:-m]
         D = np.zeros((C.shape[0], self.known))
-        D[:m, last_input] = -np.eye(m)
+        D[:m, self._last_input] = -np.eye(m)
         return C, D
 
 

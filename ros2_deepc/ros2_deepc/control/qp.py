@@ -241,8 +241,12 @@ class CheckedSolver:
             if not self._loaded[i]:
                 solver.load(H, A, program.lower, program.upper)
                 self._loaded[i] = True
-            answer = solver.solve(f, lower, upper)
-            complaint = fault(answer, H, f, A, lower, upper)
+            try:
+                answer = solver.solve(f, lower, upper)
+                complaint = fault(answer, H, f, A, lower, upper)
+            except Exception as error:  # whatever a solver throws, the plant needs an input
+                complaint = f"{type(error).__name__}: {error}"
+                self._loaded[i] = False
             if not complaint:
                 return answer, i, "; ".join(complaints)
             complaints.append(f"{solver.name}: {complaint}")
