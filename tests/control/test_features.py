@@ -264,6 +264,7 @@ def test_garbage_from_solvers_never_gets_out(how, fallback, plant_form, loop):
     assert np.isnan(results[-1].y_plan).all()
     assert np.isnan(results[-1].distance)
     run.controller._planner._main.solver.solvers = (Broken(how), healthy[1])
+    run.controller._planner._main.solver._loaded[1] = False
     assert run.step([0.1, 0.1]).status is Status.SECOND_SOLVER
 
 
