@@ -5,7 +5,6 @@
 
 import asyncio
 import os
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -41,7 +40,6 @@ class FieldOptions:
         type: of the numbers in Modbus registers.
         pki: folder of certificates for OPC UA; None = no encryption, on the loopback only.
         tags: where to write a tag map that fits, or None.
-        steps: scans until it ends; 0 = endless.
     """
 
     protocol: str
@@ -149,9 +147,7 @@ def run_field(name: str, options: FieldOptions, say: Callable[[str], None] = pri
     if options.tags is not None:
         options.tags.write_text(text, encoding="utf-8")
         say(f"a tag map that fits: {options.tags}")
-    say(
-        f"{plant.name} behind {options.protocol}, one scan every {period:g} s; it is in local control until a heartbeat"
-    )
+    say(f"{plant.name} behind {options.protocol}, a scan every {period:g} s; in local control until a heartbeat comes")
     try:
         asyncio.run(server.run())
     except KeyboardInterrupt:
@@ -163,7 +159,7 @@ def _server(name: str, options: FieldOptions, device: Device, period: float) -> 
     from . import field_tags
 
     plant, port = device.plant, options.port or {"modbus": 5020, "opcua": 4840}[options.protocol]
-    common = {"registered": name, "options": dict(options.options), "speed": options.speed}
+    common: dict[str, Any] = {"registered": name, "options": dict(options.options), "speed": options.speed}
     if options.protocol == "modbus":
         link = f"{{kind: modbus, host: {options.host}, port: {port}}}"
         server = _module("field_modbus", "modbus", "pymodbus").ModbusField(
@@ -201,7 +197,3 @@ def _module(name: str, extra: str, package: str) -> Any:
         if error.name and error.name.startswith("ros2_deepc"):
             raise
         raise MissingExtraError(extra, package) from None
-
-
-if __name__ == "__main__":
-    sys.exit("use ros2-deepc gateway and ros2-deepc field")

@@ -123,9 +123,7 @@ class Gateway:
     def tick(self, now: float) -> None:
         """Looks at the time; call it at least once a period."""
         self.supervisor.tick(now, self._trouble(now), self._steady(), self.round_trip.moved())
-        if self.supervisor.runs != self._runs:
-            self._runs = self.supervisor.runs
-            self._new_epoch()
+        self._new_epoch()
         if self.state is State.RUN:
             self.round_trip.learn()
         else:
@@ -197,6 +195,7 @@ class Gateway:
         answer = self.supervisor.acknowledge(now, trouble, self._steady(), moved, rearm=released)
         if answer.accepted and released and ECHO in self._index:
             self.round_trip.restart()
+        self._new_epoch()
         self.tick(now)
         return answer
 
@@ -318,11 +317,16 @@ class Gateway:
             return self._vector.reason
         if PEER in self._index and now - self._peer_at > stale:
             return f"no sign of life from the field for {now - self._peer_at:.3g} s"
-        if self.state in (State.RUN, State.DEGRADED) and not self.waiting and now - self._commanded_at > stale:
+        controlling = self.state in (State.RUN, State.DEGRADED) and self.supervisor.armed_at is None
+        if controlling and not self.waiting and now - self._commanded_at > stale:
             return f"no command for {now - self._commanded_at:.3g} s"
         return ""
 
     def _new_epoch(self) -> None:
+        """Every time that commands begin to be passed on, a new record begins."""
+        if self.supervisor.runs == self._runs:
+            return
+        self._runs = self.supervisor.runs
         self.epoch += 1
         self._j, self._applied_k = -1, None
         self._fallback_from = None

@@ -5,6 +5,8 @@
 
 import math
 import time
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -163,8 +165,8 @@ class GatewayNode(ManagedNode):
                 round_trip.save(path, reference)
 
     def _on_auto(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        go = (lambda g: g.auto(time.monotonic())) if request.data else (lambda g: g.shadow(time.monotonic()))
-        return self._answered(go, response)
+        ask = Gateway.auto if request.data else Gateway.shadow
+        return self._answered(lambda gateway: ask(gateway, time.monotonic()), response)
 
     def _on_acknowledge(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         return self._answered(lambda gateway: gateway.acknowledge(time.monotonic()), response)
@@ -202,7 +204,10 @@ class GatewayNode(ManagedNode):
             (topics.REPORT, mirror.report),
             (topics.INPUTS, mirror.inputs),
         ):
-            self.subscribe(topic, lambda msg, take=take: self._thread.tell(take, msg), lockstep=False)
+            self.subscribe(topic, partial(self._hand_over, take), lockstep=False)
+
+    def _hand_over(self, take: Callable[[Any], None], msg: Any) -> None:
+        self._thread.tell(take, msg)
 
     def _failed(self, error: BaseException) -> None:
         """The thread ended by an error: says so; the run ends with it."""

@@ -107,7 +107,7 @@ def _sampling(
     if section is None:
         return "timer", 1.0, plant.sample_time, None
     by = section.text("by", "timer", ("timer", "scan"))
-    speed = section.number("speed", 1.0, 1e-3, 1e3)
+    speed = section.number("speed", 1.0, 1e-6, 1e9)
     period = plant.sample_time / speed
     poll = section.number("poll", period / 10, above=0.0)
     if poll > period / 2:

@@ -57,7 +57,8 @@ class Mirror:
             raise MissingExtraError("opcua", "asyncua") from None
         serve = tags.serve
         assert serve is not None
-        self._tags, self._news, self._wake = tags, {}, asyncio.Event()  # type: dict[str, tuple[Any, int, int]]
+        self._tags, self._wake = tags, asyncio.Event()
+        self._news: dict[str, tuple[Any, int, int]] = {}
         access = opcua.Access()
         if not serve.insecure:
             password = os.environ.get(serve.password_env, "")

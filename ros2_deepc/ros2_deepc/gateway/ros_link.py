@@ -122,7 +122,7 @@ class RosLink:
     def _advertise(self, places: list[RosAt], file: str) -> list[tuple[Any, Any, list[Any]]]:
         topics: dict[tuple[str, str], dict[str, list[tuple[int, int]]]] = {}
         for i, at in enumerate(places):
-            *head, last = steps(at.field)
+            last = steps(at.field)[-1]
             base, index = (at.field.rpartition("[")[0], last) if isinstance(last, int) else (at.field, -1)
             topics.setdefault((at.topic, at.type), {}).setdefault(base, []).append((index, i))
         made = []

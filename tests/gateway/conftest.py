@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A tag map, a field in memory that keeps time by hand, and free ports."""
+
+import socket
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from ros2_deepc.gateway import Command, Gateway, loads
+from ros2_deepc.gateway.assemble import Quality, Scan
+
+TAGS = """\
+plant: {name: tank, sample_time: 0.1, prior: {n: 2, q: 2, s: 1}}
+link: {kind: modbus, host: 127.0.0.1, port: 5020}
+sampling: {by: scan, counter: {table: input, address: 0, type: uint16}}
+supervision: {stale_after: 0.35, fallback_after: 1.0, good_samples: 3}
+heartbeat:
+  write: {address: 0, type: uint16}
+  echo: {table: input, address: 1, type: uint16}
+fallback: {policy: ramp, seconds: 2.0}
+outputs:
+  - {name: y1, unit: rad/s, raw_unit: mHz, scale: 0.0062831853, range: [-10, 10], at: {table: input, address: 2}}
+  - {name: y2, unit: m, offset: 1.5, at: {table: input, address: 4}}
+inputs:
+  - {name: u1, unit: pu, limits: [-1, 1], max_rate: 5, safe: 0, at: {address: 1}}
+  - {name: u2, unit: pu, limits: [-2, 2], max_rate: 40, safe: 0.5, on_violation: clamp, at: {address: 3}}
+"""
+TIMER = TAGS.replace("by: scan", "by: timer").replace(", counter: {table: input, address: 0, type: uint16}", "")
+POLL = 0.01
+
+
+@pytest.fixture(scope="session")
+def text():
+    return TAGS
+
+
+@dataclass
+class Bench:
+    """A gateway and a field in memory: raw numbers, a scan counter, an echo; time moves by hand.
+
+    Attributes:
+        reached: every vector of inputs that reached the field.
+    """
+
+    gateway: Gateway
+    now: float = 100.0
+    count: int = 7
+    beat: int = 0
+    raw: list = field(default_factory=lambda: [100.0, 2.0])
+    reached: list = field(default_factory=list)
+    samples: list = field(default_factory=list)
+    states: list = field(default_factory=list)
+    quality: list = field(default_factory=lambda: [Quality.GOOD, Quality.GOOD])
+    source: int | None = None
+    up: bool = True
+    beats: bool = True
+    scanning: bool = True
+    controller: bool = False
+    answered: tuple = (0, -1)
+
+    def look(self):
+        """One look of the gateway at the field, and the writes that come of it."""
+        g = self.gateway
+        if not self.up:
+            g.failed("no connection", self.now)
+        else:
+            counters = {"scan": self.count, "echo": self.beat, "peer": self.count}
+            raw = np.array([*self.raw, *(counters[tag.name] for tag in g.tags.counters)], dtype=float)
+            quality = np.array([*self.quality, *(0 for _ in g.tags.counters)], dtype=np.uint8)
+            source = 0 if self.source is None else self.source
+            outputs = g.scan(Scan(raw=raw, quality=quality, source_ns=np.full(len(raw), source)), self.now, 10**18)
+            if outputs is not None:
+                self.samples.append(outputs)
+                if self.controller and outputs.epoch == g.epoch and outputs.vector.good:
+                    self.command(outputs.k + 1)
+            self.flush()
+        if not self.states or self.states[-1][1] is not g.state:
+            self.states.append((round(self.now, 6), g.state))
+
+    def flush(self):
+        g = self.gateway
+        order = g.order(self.now)
+        if order is None:
+            return
+        m = len(g.tags.inputs)
+        if not np.isnan(order[:m]).any():
+            self.reached.append((self.now, order[:m].copy()))
+        if len(order) > m and not np.isnan(order[m]) and self.beats:
+            self.pending_beat = int(order[m])
+        g.wrote(order, self.now)
+
+    def command(self, k, values=(0.1, 0.6), **changes):
+        given = {"zone": "tank", "source": "controller", "epoch": self.gateway.epoch, "k": k, "values": list(values)}
+        return self.gateway.command(Command(**(given | changes)), self.now)
+
+    def run(self, seconds, period=0.1):
+        """Lets the time pass: the field scans every period, the gateway looks every poll."""
+        for _ in range(round(seconds / POLL)):
+            self.now += POLL
+            if self.scanning and round(self.now / POLL) % round(period / POLL) == 0:
+                self.count = (self.count + 1) % self.gateway.tags.modulus.get("scan", 2**16)
+                self.beat = getattr(self, "pending_beat", self.beat)
+            self.look()
+
+    def start(self):
+        """To RUN with the first inputs written and a controller that answers every sample."""
+        self.run(0.5)
+        assert self.gateway.auto(self.now).accepted
+        self.run(1.0)
+        assert self.gateway.state == "RUN", self.gateway.supervisor.reason
+        self.controller = True
+        assert self.command(0) is None
+        self.flush()
+        self.run(0.5)
+        assert self.gateway.state == "RUN"
+        return self
+
+
+@pytest.fixture
+def bench():
+    """Makes a bench from a YAML text."""
+
+    def make(text=TAGS, **kwargs):
+        return Bench(Gateway(loads(text), 100.0, **kwargs))
+
+    return make
+
+
+@pytest.fixture
+def free_port():
+    """A TCP port that nobody listens on."""
+
+    def find():
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            return probe.getsockname()[1]
+
+    return find
