@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poor data give UNDECIDED with a reason that says what to do; wrong data raise."""
 
+import pickle
 import re
 
 import numpy as np
@@ -58,6 +59,7 @@ def test_excitation_lost_after_a_good_start_is_said_as_such(plant):
     late = analyze(u[120:], y[120:], prior=PRIOR)
     assert late.r_controllability.verdict == Verdict.UNDECIDED
     assert late.excitation_order <= 1
+    assert f"of order {late.excitation_order} only" in late.r_controllability.reason
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -107,6 +109,23 @@ def test_dead_channels_do_no_harm():
     silent = analyze(u, np.zeros((80, 2)), prior=Prior(q=1))
     assert silent.r_observability.verdict == Verdict.NOT_PROVED
     assert silent.r_controllability.verdict == Verdict.UNDECIDED
+
+
+def test_report_travels_between_processes(plant):
+    report = analyze(*record(plant, 80), prior=PRIOR)
+    again = pickle.loads(pickle.dumps(report))
+    assert again.r_controllability.reason == report.r_controllability.reason
+    assert repr(again.printed[3]) == repr(report.printed[3])
+    assert list(report.printed) == [1, 2, 3, 4]
+    with pytest.raises(KeyError):
+        report.printed[5]
+
+
+def test_level_that_cannot_be_estimated_is_undecided(plant):
+    cut = analyze(*record(plant, 40), prior=Prior(q=4, s=2, n=6, D=plant.D), L=2, noise=None)
+    for f in findings(cut):
+        assert f.verdict == Verdict.UNDECIDED
+        assert "estimate the noise" in f.reason
 
 
 def test_plant_without_slow_part():

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from .compress import Array, Compression
@@ -25,11 +24,11 @@ ROWS = 700
 
 
 class Tried(NamedTuple):
-    """One window length: what it showed, and from which data at which noise level (p,)."""
+    """One window length: what it showed, and from which data at which noise level (p,), None if that is not known."""
 
     outcome: Outcome
     data: Compression
-    level: Array
+    level: Array | None
 
 
 def analyze(
@@ -160,7 +159,7 @@ def _at(source: Source, prior: Prior, L: int, noise: Noise) -> Tried:
     try:
         level = noise.level(data, source.y_scale, q)
     except ValueError as error:
-        return Tried(nothing(str(error)), data, np.zeros(source.p))
+        return Tried(nothing(str(error)), data, None)
     names = replace(SLOW, bound=noise.wording)
     outcome = decide(data, q, noise.hankel_bound(data, level), names)
     past = -(-q // source.m) + 1
@@ -184,6 +183,14 @@ def _too_short(source: Source, prior: Prior, L: int, noise: Noise) -> Report:
 def _report(source: Source, prior: Prior, L: int, noise: Noise, slow: Outcome, tried: Tried | None) -> Report:
     """Everything beside the slow part: C-properties, printed theorems, excitation, structure."""
     data = tried.data if tried else None
+    order = excitation(source, L + prior.s + prior.q)
+    if data is not None and data.inverse is None:
+        slow = nothing(
+            f"the inputs are persistently exciting of order {order} only, this window needs {L + prior.s}: "
+            "vary every input independently for a while",
+            slow.controllability.required,
+            slow.eps,
+        )
     base = source.m * (L + prior.s)
     need = L + prior.s + prior.q
     estimate = StructureEstimate()
@@ -200,7 +207,7 @@ def _report(source: Source, prior: Prior, L: int, noise: Noise, slow: Outcome, t
         c_observability=whole[1],
         printed=PrintedTheorems(source, prior, L, noise),
         modes=slow.modes,
-        excitation_order=excitation(source, need),
+        excitation_order=order,
         excitation_need=need,
         rank=base + slow.seen if slow.excited else 0,
         rank_need=base + prior.q,

@@ -16,7 +16,7 @@ GAUSS = 1.35
 itself exceeded it in fewer than one of a thousand windows (the 99.9 % quantile lay between 1.05 and 1.33)."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Noise:
     """White measurement noise on the outputs, in output units; inputs are taken as commanded, hence exact.
 

@@ -116,10 +116,7 @@ def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW) -> 
     """
     eps = eps_noise + data.floor
     if data.inverse is None:
-        reason = (
-            f"the inputs are not persistently exciting of order {data.d}: vary every input independently for a while"
-        )
-        return nothing(reason, data.m * data.d + q, eps)
+        return nothing(f"the inputs are not persistently exciting of order {data.d}", data.m * data.d + q, eps)
     seen = int(np.count_nonzero(data.sigma > eps))
     observe = _observability(data, seen, q, eps, names)
     if seen == 0 or q == 0:
@@ -170,10 +167,8 @@ def _nothing_to_control(data: Compression, seen: int, q: int, eps: float, names:
     """When no direction is above the noise, or none is expected."""
     base = data.m * (data.d - 1)
     if seen > q:
-        verdict, reason = (
-            Verdict.PRIOR_VIOLATED,
-            f"the outputs show {seen} autonomous directions, {names.order} = 0 allows none",
-        )
+        verdict = Verdict.PRIOR_VIOLATED
+        reason = f"the outputs show {seen} autonomous directions, {names.order} = 0 allows none"
     elif q == 0:
         verdict, reason = Verdict.PROVED, f"{names.order} = 0: there is nothing to control"
     else:

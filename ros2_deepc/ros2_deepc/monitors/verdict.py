@@ -31,7 +31,7 @@ class Verdict(IntEnum):
     """No input-output data can decide it under this prior."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prior:
     """What is known about the plant besides its data (paper, section 2).
 
