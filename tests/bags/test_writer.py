@@ -154,6 +154,16 @@ def test_full_disk_is_one_error_and_leaves_a_readable_marked_bag(tmp_path):
     assert int(first) - 100 < len(times) <= int(first)  # at most two chunks of 5000 bytes are missing
 
 
+def test_time_zero_is_a_time(tmp_path):
+    """Before the first /clock a recorder on simulated time logs at zero."""
+    with BagWriter(tmp_path / "bag", max_bytes=1) as bag:
+        bag.add_topic("/a", STRING)
+        for time in (0, 5, 3):
+            bag.write("/a", b"x", time)
+    reader = BagReader(tmp_path / "bag")
+    assert (reader.start, reader.end) == (0, 5)
+
+
 def test_empty_bag_is_a_bag(tmp_path):
     with BagWriter(tmp_path / "bag"):
         pass

@@ -92,7 +92,7 @@ class BagReader:
         self.files = bag_files(self.path)
         self.topics: dict[str, TopicInfo] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        self.start, self.end = 0, 0
+        self.start, self.end, self._timed = 0, 0, False
         self.complete = not (self.path.is_dir() and (self.path / MARKER).exists())
         self.losses: list[str] = []
         self._indexed: dict[Path, bool] = {}
@@ -190,8 +190,9 @@ class BagReader:
         return self.topics.setdefault(channel.topic, TopicInfo.of(channel, schema))
 
     def _add_time(self, first: int, last: int) -> None:
-        self.start = first if not self.start else min(self.start, first)
+        self.start = min(self.start, first) if self._timed else first
         self.end = max(self.end, last)
+        self._timed = True
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -244,7 +245,7 @@ def _from_index(file: Path, topics: set[str] | None, start: int | None, end: int
                 yield from pending[:ready]
                 stream.seek(entry.chunk_start_offset + 9)
                 found = chunk_messages(stream.read(entry.chunk_length - 9))
-                pending = pending[ready:] + [RawMessage(*channels[c], *rest) for c, *rest in found]
+                pending = pending[ready:] + [RawMessage(*channels[c], log, sent, data) for c, log, sent, data in found]
                 pending.sort(key=_log_time)
     except BROKEN as error:
         raise BagError(f"{file} is damaged inside ({why(error)}): check it and repair it into a new bag") from error

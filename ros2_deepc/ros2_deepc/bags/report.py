@@ -167,7 +167,7 @@ def _verdicts(run: Run) -> str:
 
 def _events(run: Run) -> str:
     found = events(run)
-    rows = [[epoch, k, f"{t:.6g} s", words] for epoch, k, t, words in found[:300]]
+    rows = [[epoch, k, seconds(t), words] for epoch, k, t, words in found[:300]]
     more = f"<p>and {len(found) - 300} more</p>" if len(found) > 300 else ""
     return _table(["epoch", "k", "time", "what"], rows, (0, 1, 2), "narrow") + more if rows else "<p>None.</p>"
 

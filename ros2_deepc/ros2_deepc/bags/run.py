@@ -233,7 +233,7 @@ def _time(stamp: NDArray[np.int64], keys: NDArray[np.int64], sample_time: float)
     """Seconds since the first sample: by the stamps where they grow, else by counting sample times."""
     if len(stamp) == 1 or np.all(np.diff(stamp) > 0):
         return _seconds(stamp - stamp[0]), lambda stamps, _: _seconds(stamps - stamp[0])
-    t: Array = np.arange(len(keys)) * (1.0 if np.isnan(sample_time) else sample_time)
+    t: Array = np.arange(len(keys), dtype=np.float64) * np.float64(1.0 if np.isnan(sample_time) else sample_time)
     return t, lambda _, wanted: np.asarray(pick(t, keys, wanted), dtype=np.float64)
 
 
