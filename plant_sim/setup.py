@@ -18,7 +18,12 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": ["plant_node = plant_sim.plant_node:main"],
-        "ros2_deepc.plants": ["wscc9 = plant_sim:wscc9", "net3 = plant_sim:net3"],
+        "ros2_deepc.plants": [
+            "wscc9 = plant_sim:wscc9",
+            "net3 = plant_sim:net3",
+            "wscc9_swing = plant_sim.swing_plant:wscc9_swing",
+            "net3_epanet = plant_sim.epanet_plant:net3_epanet",
+        ],
         "ros2_deepc.plant_node": ["plant = plant_sim.plant_node:PlantNode"],
     },
 )

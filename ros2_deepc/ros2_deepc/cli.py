@@ -25,6 +25,8 @@ COMMANDS = {
     "check": "bags",
     "export": "bags",
     "layout": "bags",
+    "gateway": "gateway",
+    "field": "gateway",
 }
 
 
