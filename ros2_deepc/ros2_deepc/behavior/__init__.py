@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data matrices: Hankel matrices, excitation, the online window. Pure numpy and scipy."""
 
-from .excitation import collective_excitation_order, excitation_order, numerical_rank
+from .excitation import collective_excitation_order, excitation_order, excites, numerical_rank
 from .gram import SlidingGram
 from .hankel import hankel
 from .sliding import SlidingFactor
@@ -16,6 +16,7 @@ __all__ = [
     "collective_excitation_order",
     "data_matrix",
     "excitation_order",
+    "excites",
     "hankel",
     "numerical_rank",
 ]

@@ -18,19 +18,20 @@ def numerical_rank(M: Array) -> int:
     return int(np.count_nonzero(sv > max(M.shape) * np.finfo(np.float64).eps * sv[0]))
 
 
-def excites(pieces: Sequence[Array], L: int) -> bool:
-    """Whether inputs are collectively persistently exciting of order L: [H_L(u1), H_L(u2), ...] has full row rank m L.
+def excites(records: Sequence[ArrayLike], L: int) -> bool:
+    """Whether input records are collectively persistently exciting of order L: [H_L(u1), H_L(u2), ...] has rank m L.
+
+    Cheaper than the order itself: one singular value decomposition at most.
 
     Args:
-        pieces: finite input records, shapes (T_i, m), every channel of similar size.
+        records: input records, shapes (T_i, m).
         L: order, L >= 0.
+
+    Raises:
+        ValueError: if a record is not a finite signal.
     """
-    if L == 0:
-        return True
-    parts = [hankel(u, L) for u in pieces if len(u) >= L]
-    rows = L * pieces[0].shape[1]
-    wide = sum(part.shape[1] for part in parts) >= rows
-    return bool(wide and numerical_rank(np.hstack(parts)) == rows)
+    pieces = _unit_peak(records)
+    return L == 0 or (bool(pieces) and _excites(pieces, L))
 
 
 def excitation_order(u: ArrayLike, at_most: int | None = None) -> int:
@@ -63,25 +64,36 @@ def collective_excitation_order(records: Sequence[ArrayLike], at_most: int | Non
     Raises:
         ValueError: if a record is not a finite signal.
     """
-    pieces = [as_signal(u, "u") for u in records]
+    pieces = _unit_peak(records)
     if not pieces:
         return 0
-    m = pieces[0].shape[1]
-    peak = np.max([np.abs(u).max(axis=0, initial=0.0) for u in pieces], axis=0)
-    if m == 0 or not peak.all():
-        return 0
-    pieces = [u / peak for u in pieces]
-    longest = max(len(u) for u in pieces)
+    m, longest = pieces[0].shape[1], max(len(u) for u in pieces)
     highest = (longest + 1) // (m + 1) if len(pieces) == 1 else longest  # beyond, the matrix is taller than wide
     if at_most is not None:
         highest = min(highest, at_most)
-    if excites(pieces, highest):
+    if _excites(pieces, highest):
         return highest
-    low, high = 0, highest  # excites(low) holds, excites(high) does not
+    low, high = 0, highest  # excites of order low, not of order high
     while high - low > 1:
         middle = (low + high) // 2
-        if excites(pieces, middle):
+        if _excites(pieces, middle):
             low = middle
         else:
             high = middle
     return low
+
+
+def _unit_peak(records: Sequence[ArrayLike]) -> list[Array]:
+    """The records with every channel scaled to unit peak; none if a channel is zero throughout."""
+    pieces = [as_signal(u, "u") for u in records]
+    if not pieces:
+        return []
+    peak = np.max([np.abs(u).max(axis=0, initial=0.0) for u in pieces], axis=0)
+    return [u / peak for u in pieces] if peak.size and peak.all() else []
+
+
+def _excites(pieces: list[Array], L: int) -> bool:
+    rows = L * pieces[0].shape[1]
+    if sum(max(0, len(u) - L + 1) for u in pieces) < rows:
+        return False
+    return L == 0 or numerical_rank(np.hstack([hankel(u, L) for u in pieces if len(u) >= L])) == rows

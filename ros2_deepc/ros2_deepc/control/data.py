@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ros2_deepc.behavior import Record, collective_excitation_order, data_matrix
+from ros2_deepc.behavior import Record, collective_excitation_order, data_matrix, excites
 from ros2_deepc.behavior.hankel import Array
 
 from .layout import Layout
@@ -81,7 +81,7 @@ class Snapshot:
         Either the inputs excite as Corollary 1 asks (enough even where the plant is not controllable and the rank stays
         below m (N+L+s-1) + q for ever), or the data matrix has that rank.
         """
-        if self.excitation_order >= self.sized.excitation_need:
+        if excites([r.u[:, : self.sized.m] for r in self.records], self.sized.excitation_need):
             return True
         by_rank = self.sized.base.q > 0 and self.sized.base.disturbances == 0
         return by_rank and self.rank >= self.sized.rank_need
