@@ -70,10 +70,12 @@ class Structure:
         return self.observability.modes
 
 
-def _rounding(left: Array, middle: Array, right: Array) -> float:
-    """Rounding level of the entries of left @ middle @ right."""
-    product = np.abs(left) @ np.abs(middle) @ np.abs(right)
-    return EPS * float(product.max(initial=0.0))
+def _size(*factors: Array) -> float:
+    """Largest entry of the product of the absolute values: what the rounding of the product is relative to."""
+    product = np.abs(factors[0])
+    for factor in factors[1:]:
+        product = product @ np.abs(factor)
+    return float(product.max(initial=0.0))
 
 
 def _conserved(system: DescriptorSystem, form: Weierstrass, floor: float) -> Array:
@@ -120,9 +122,9 @@ def structure(system: DescriptorSystem) -> Structure:
     """
     form = system.weierstrass()
     S1, P1 = form.S[: form.q], form.P[:, : form.q]
-    noise = _rounding(S1, system.A, P1)
-    control = reach(form.A1, form.B1, noise, _rounding(S1, system.B, np.eye(system.m)))
-    observe = reach(form.A1.T, form.C1.T, noise, _rounding(np.eye(system.p), system.C, P1))
+    noise = EPS * max(1.0, _size(S1, system.A, P1))  # of A1, and as a rule of the subspaces behind S1 and P1
+    control = reach(form.A1, form.B1, noise, noise * _size(S1, system.B))
+    observe = reach(form.A1.T, form.C1.T, noise, noise * _size(system.C, P1))
     control_margin, fast_controllable = _fast(system, system.B, 1)
     observe_margin, fast_observable = _fast(system, system.C, 0)
     return Structure(
