@@ -21,6 +21,8 @@ from .topics import Topic
 
 Message = TypeVar("Message")
 
+AUTOSTART = Param("autostart", True, "configure and activate without being told to")
+
 
 class ManagedNode(LifecycleNode):
     """A lifecycle node. Subclasses fill in ``configure``, ``activate`` and ``deactivate``.
@@ -37,7 +39,7 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
-        self.p = declare(self, self.parameters)
+        self.p = declare(self, (*self.parameters, AUTOSTART))
         self.fault = ""
         self.resources = ExitStack()
         self._active = False

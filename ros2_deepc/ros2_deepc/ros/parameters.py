@@ -18,6 +18,7 @@ from rclpy.exceptions import (
 from rclpy.node import Node
 
 _LARGEST = 2**62
+_COMMON = ("use_sim_time", "autostart")  # parameters of every node
 
 
 class ConfigError(ValueError):
@@ -120,7 +121,7 @@ def check(owner: str, table: Iterable[Param], given: Mapping[str, Any]) -> None:
     """
     rows = {row.name: row for row in table}
     for name, value in given.items():
-        if name == "use_sim_time":
+        if name in _COMMON:
             continue
         if name not in rows:
             near = difflib.get_close_matches(name, rows, n=1)

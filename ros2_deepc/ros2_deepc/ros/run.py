@@ -119,7 +119,8 @@ def run_node(factory: Callable[..., ManagedNode], args: Sequence[str] | None = N
         spinner = Spinner(executor)
         with on_signal(spinner.wake) as signals:
             try:
-                node.start()
+                if node.p["autostart"]:
+                    node.start()
                 spinner.until(lambda: bool(signals) or bool(node.fault))
             except ConfigError as error:
                 print(f"error: {error}", file=sys.stderr)  # noqa: T201
