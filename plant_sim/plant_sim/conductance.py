@@ -5,7 +5,7 @@
 from math import inf, log, log10, pi
 
 from .errors import PlantError
-from .hydraulics import CHECK_VALVE_PIPE, FCV, PBV, PIPE, PRV, PSV, PUMP, Link, Snapshot
+from .hydraulics import CHECK_VALVE_PIPE, FCV, GPV, PBV, PIPE, PRV, PSV, PUMP, Link, Snapshot
 
 FOOT = 0.3048
 GRAVITY = 9.81456  # 32.2 ft/s2, EPANET's
@@ -60,18 +60,16 @@ def pump_slope(link: Link, flow: float, gain: float) -> float:
         exponent = log((h0 - h2) / (h0 - h1)) / log(q2 / q1)
         factor = (h0 - h1) / q1**exponent
     else:
-        return _piecewise_slope(link, flow)
+        return -_segment_slope(link, flow / link.setting) * link.setting  # head grows with the square of the speed
     return float(factor * exponent * link.setting ** (2 - exponent) * flow ** (exponent - 1))
 
 
-def _piecewise_slope(link: Link, flow: float) -> float:
-    """-dh/dQ of a curve given by points: the affinity laws scale flow by the speed and head by its square."""
-    at = flow / link.setting
-    segments = list(zip(link.curve, link.curve[1:], strict=False))
-    for (q1, h1), (q2, h2) in segments:
+def _segment_slope(link: Link, at: float) -> float:
+    """Slope of the segment of the link's curve at ``at`` [m3/s]; the outer segments go on beyond their ends."""
+    for (q1, h1), (q2, h2) in zip(link.curve, link.curve[1:], strict=False):
         if at <= q2 or (q2, h2) == link.curve[-1]:
-            return (h1 - h2) / (q2 - q1) * link.setting
-    raise PlantError(f"the head curve of pump {link.name} has a single point that is not a design point")
+            return (h2 - h1) / (q2 - q1)
+    raise PlantError(f"the curve of link {link.name} needs at least two points")
 
 
 def conductance(link: Link, network: Snapshot, flow_floor: float = 1e-5) -> float:
@@ -89,6 +87,8 @@ def conductance(link: Link, network: Snapshot, flow_floor: float = 1e-5) -> floa
         slope = pipe_slope(link, flow, network.formula, network.viscosity)
     elif holds(link, network) == "loss":
         slope = 0.0
+    elif link.kind == GPV:
+        slope = _segment_slope(link, flow)
     else:  # an open valve: its loss grows with the square of the flow
         slope = 2 * abs(heads[1] - heads[0]) / flow
     return 1 / slope if slope > 0 else inf

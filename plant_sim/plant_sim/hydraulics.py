@@ -16,7 +16,7 @@ from .errors import PlantError
 JUNCTION, RESERVOIR, TANK = 0, 1, 2
 WARNING = "EPANET warns at this hour: pressures below zero, or pumps or valves that cannot do what is asked"
 TRIALS = 500  # of EPANET's solver; the file's own limit is often too small for this accuracy
-CHECK_VALVE_PIPE, PIPE, PUMP, PRV, PSV, PBV, FCV = 0, 1, 2, 3, 4, 5, 6
+CHECK_VALVE_PIPE, PIPE, PUMP, PRV, PSV, PBV, FCV, TCV, GPV = range(9)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +39,7 @@ class Link:
     """A pipe, pump or valve; flow in m3/s from node ``ends[0]`` to ``ends[1]`` (0-based), lengths in m.
 
     ``setting`` is a pump's relative speed, or what a valve holds (m or m3/s; 0 if it does not act). ``curve`` holds the
-    points (m3/s, m) of a pump's head curve, ``constant_power`` marks a pump without one.
+    points (m3/s, m) of a pump's head curve or of a GPV's loss, ``constant_power`` marks a pump without one.
     """
 
     name: str
@@ -178,6 +178,8 @@ def _link(handle: Any, index: int) -> Link:
     pipe: dict[str, Any] = {"length": value("LENGTH"), "roughness": value("ROUGHNESS")}
     if kind not in (PIPE, CHECK_VALVE_PIPE):
         pipe = {"setting": value("SETTING")}
+    if kind == GPV:
+        pipe["curve"] = _curve(handle, int(value("GPV_CURVE")))
     return Link(**common, **pipe, diameter=value("DIAMETER") / 1000, minor_loss=value("MINORLOSS"))
 
 

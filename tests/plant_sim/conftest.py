@@ -31,6 +31,10 @@ TOWN = """
  V J2 J4 200 {valve} 0
 [CURVES]
 {curve}
+ G 0 0
+ G 20 1
+ G 50 6
+ G 100 30
 [OPTIONS]
  Units LPS
  Headloss {formula}

@@ -5,6 +5,7 @@
 
 import json
 import warnings
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -169,7 +170,7 @@ def test_formulas_agree_with_epanet(town, formula, rough, curve):
     agree(path, 0, "pump:U", speed_up("U"), 2e-3)
 
 
-@pytest.mark.parametrize("valve", ["TCV 5", "PRV 20", "PSV 40", "FCV 3", "PBV 4"])
+@pytest.mark.parametrize("valve", ["TCV 5", "PRV 20", "PSV 40", "FCV 3", "PBV 4", "GPV G"])
 def test_valves_agree_with_epanet(town, valve):
     path = town(valve=valve)
     agree(path, 0, "J3", inject("J3"), 2e-3)
@@ -189,6 +190,23 @@ def test_pressure_dependent_outflow_agrees_with_epanet(town, option, section):
     path.write_text(path.read_text().replace("[OPTIONS]", f"{section}\n[OPTIONS]\n {option}"))
     assert sum(node.relief > 0 for node in snapshot(path, 0).nodes) == (1 if section else 4)
     agree(path, 0, "pump:U", speed_up("U"), 2e-3)
+
+
+def test_constant_power_pump_agrees_with_epanet(town):
+    path = town()
+    path.write_text(path.read_text().replace("HEAD C SPEED 0.9", "POWER 15"))
+    agree(path, 0, "J3", inject("J3"), 2e-3)
+    with pytest.raises(PlantError, match="pump U runs at constant power"):
+        from_inp(path, 0, inputs=["pump:U"])
+
+
+@pytest.mark.parametrize(("name", "n", "q"), [("Net1", 11, 2), ("Net2", 36, 1)])
+def test_networks_that_others_ship(name, n, q):
+    package = find_spec("wntr")
+    if package is None:
+        pytest.skip("wntr, which ships the file, is not installed")
+    plant = from_inp(Path(package.submodule_search_locations[0]) / f"library/networks/{name}.inp", 1, inputs=["22"])
+    assert plant.prior == (n, q, n - q, 1)
 
 
 def test_valve_that_holds_a_head_passes_the_injection_on(town):
