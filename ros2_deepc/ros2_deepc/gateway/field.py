@@ -66,8 +66,8 @@ def _number(text: str) -> Any:
 class Device:
     """The program of the field device, one scan after the other.
 
-    In local control, which is how it starts, the inputs are 0 (or the nearest that the limits allow). The inputs that
-    it is given count only while the heartbeat moves.
+    The plant stands still until the first heartbeat. In local control the inputs are 0 (or the nearest that the limits
+    allow); the inputs that it is given count only while the heartbeat moves.
 
     Args:
         plant: what it runs.
@@ -81,8 +81,8 @@ class Device:
         self.local = True
         self.safe: Array = np.clip(0.0, plant.input_min, plant.input_max)
         self.u = self.safe
-        self.y: Array = np.zeros(len(plant.output_names))
         self._stepper, self._watchdog = plant.start(seed), watchdog
+        self.y = self._first(plant, seed)
         self._beat_at: float | None = None
 
     def scan(self, u: Array, beat: int, now: float) -> None:
@@ -96,12 +96,21 @@ class Device:
         if beat != self.echo:
             self._beat_at, self.echo = now, beat
         self.local = self._beat_at is None or now - self._beat_at > self._watchdog
+        self.count = (self.count + 1) % COUNTER
+        if self._beat_at is None:
+            return
         usable = bool(np.isfinite(u).all())
         self.u = np.clip(u, self.plant.input_min, self.plant.input_max) if usable and not self.local else self.safe
         y = self._stepper.push(self.u)
         if y is not None:
             self.y = np.asarray(y)
-        self.count = (self.count + 1) % COUNTER
+
+    def _first(self, plant: FieldPlant, seed: int) -> Array:
+        """What the instruments read while the plant stands still: the outputs of a twin under local control."""
+        twin, y = plant.start(seed), None
+        while y is None:
+            y = twin.push(self.safe)
+        return np.asarray(y)
 
 
 async def every(period: float, scan: Callable[[float], Awaitable[None]]) -> None:

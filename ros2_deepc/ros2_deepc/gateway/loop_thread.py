@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 T = TypeVar("T")
 
 _PATIENCE = 5.0  # [s] for an answer from the loop
+_CLOSING = 0.02  # [s] for closed connections to leave the loop
 
 
 class LoopThread:
@@ -80,3 +81,4 @@ class LoopThread:
         for task in others:
             task.cancel()
         await asyncio.gather(*others, return_exceptions=True)
+        await asyncio.sleep(_CLOSING)
