@@ -10,7 +10,7 @@ from ros2_deepc.behavior import Record, collective_excitation_order, data_matrix
 from ros2_deepc.behavior.hankel import Array
 
 from .layout import Layout
-from .predictor import EPS, Predictor, Truncation, fit, fit_causal
+from .predictor import EPS, PoorDataError, Predictor, Truncation, fit, fit_causal
 from .settings import Sized
 
 NOISE_NORM = 1.35  # sqrt(rows) + sqrt(columns) times this bounds the norm of a white Hankel matrix 999 times in 1000
@@ -81,18 +81,25 @@ class Snapshot:
         Either the inputs excite as Corollary 1 asks (enough even where the plant is not controllable and the rank stays
         below m (N+L+s-1) + q for ever), or the data matrix has that rank.
         """
-        if excites([r.u[:, : self.sized.m] for r in self.records], self.sized.excitation_need):
-            return True
         by_rank = self.sized.base.q > 0 and self.sized.base.disturbances == 0
-        return by_rank and self.rank >= self.sized.rank_need
+        if not (
+            excites([r.u[:, : self.sized.m] for r in self.records], self.sized.excitation_need)
+            or (by_rank and self.rank >= self.sized.rank_need)
+        ):
+            return False
+        try:
+            return self.predictor is not None
+        except PoorDataError:  # by a hair's breadth, and rounding decides otherwise
+            return False
 
     @cached_property
     def noise_norm(self) -> float:
         """Norm that the outputs' noise does not exceed in the data matrix."""
         return noise_norm(self.sized, self.scale[1], self.matrix.shape[1])
 
+    @cached_property
     def predictor(self) -> Predictor:
-        """The predictor for scaled channels."""
+        """The predictor for scaled channels; raises PoorDataError if the data determine none."""
         regress = fit_causal if self.sized.base.predictor == "causal" else fit
         return regress(self.matrix, self.layout, self.matrix.shape[1], truncation(self.sized, self.noise_norm))
 

@@ -112,7 +112,7 @@ class RunData:
         """The predictor to use now, in the units of the plant: the same object as long as it does not change."""
         assert self._first is not None  # asked for only when nothing is missing
         if self._adopted is None:
-            self._reference = self._first.predictor()
+            self._reference = self._first.predictor
             self._adopted = self._in_units(self._reference)
         elif self.moves:
             newest = self._newest()
@@ -125,7 +125,7 @@ class RunData:
         stream, guarded = self._stream, self._sized.base.data_policy == "guarded"
         assert stream is not None  # made with the first rich window
         try:
-            newest = stream.predictor() or self.snapshot.predictor()
+            newest = stream.predictor() or self.snapshot.predictor
             self.weak = self._weakness(newest)
             if self.weak and guarded:
                 return None

@@ -217,7 +217,7 @@ def _squares(stretch: Record, window: Record, sized: Sized) -> Array:
     incremental = sized.base.form == "incremental"
     data = Record(np.diff(window.u, axis=0), np.diff(window.y, axis=0)) if incremental else window
     snapshot = Snapshot((data,), sized, layout)
-    predictor = unscale(snapshot.predictor(), Units.of(*snapshot.scale, sized))
+    predictor = unscale(snapshot.predictor, Units.of(*snapshot.scale, sized))
     if incremental:
         predictor = accumulate(predictor, sized)
     absolute = size(replace(sized.base, N=sized.base.past, form="absolute", T=0), sized.m, sized.p)
