@@ -8,6 +8,7 @@ import numpy as np
 
 from .arrays import Array
 from .descriptor import DescriptorSystem
+from .errors import PlantError
 from .plant import Plant
 from .reach import Reach
 from .steady import SteadyStates, steady_states
@@ -73,10 +74,16 @@ def _rest(plant: Plant, system: DescriptorSystem) -> Iterator[str]:
     stepper = plant.start(0)
     z10 = getattr(stepper, "z1", None)
     states: SteadyStates = steady_states(system, plant.input_min, plant.input_max, z10)
-    low, high = states.output_range()
+    try:
+        low, high = states.output_range()
+    except PlantError as error:
+        yield f"at rest       {error}"
+        return
     resting = list(zip(plant.output_names, plant.output_units, low, high, strict=True))
     for name, unit, a, b in resting[:SHOWN]:
-        text = f"{_number(a)} only" if abs(b - a) < 1e-9 * max(1.0, abs(a)) else f"{_number(a)} to {_number(b)}"
+        text = "any value" if np.isinf([a, b]).all() else f"{_number(a)} to {_number(b)}"
+        if abs(b - a) < 1e-9 * max(1.0, abs(a)):
+            text = f"{_number(a)} only"
         yield f"at rest       {name}: {text} {unit} (seed 0, inputs within limits)"
     for k, values in plant.references:
         _, _, distance = states.nearest(values)

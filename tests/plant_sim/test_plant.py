@@ -189,6 +189,13 @@ def test_description_prints_the_numbers():
     assert "(5, 3) can be held" in describe(net3(inputs="all"))
 
 
+def test_description_when_nothing_can_rest(tmp_path):
+    ramp = "sample_time: 1.0\nA: [[1.0]]\nB: [[1.0]]\nC: [[1.0]]\n"
+    assert "at rest       y1: any value" in describe(load(written(tmp_path, ramp)))
+    text = describe(load(written(tmp_path, ramp + "input_min: 0.5\ninput_max: 1.0")))
+    assert "at rest       no steady state respects the input limits" in text
+
+
 def test_description_of_a_nonlinear_plant():
     plant = dataclasses.replace(wscc9(), system=None, state_names=())
     assert "nonlinear; prior n = 12, q = 6, r = 6, s = 1" in describe(plant)
