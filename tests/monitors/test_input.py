@@ -157,3 +157,16 @@ def test_indicator_agrees_with_the_analysis_and_says_what_is_missing(plant):
     assert "exciting" in indicate(np.ones((81, 2)), y[:80], prior=PRIOR, L=6).reason
     assert "no direction" in indicate(u, np.zeros((120, 2)), prior=PRIOR, L=6).reason
     assert indicate(u, y, prior=Prior(q=5, s=2), L=6).controllability == -np.inf
+
+
+def test_rounding_of_large_hidden_states_is_not_held_against_the_prior():
+    for seed in range(5):
+        for cut in ([], [0.9]):
+            p = random_system(m=2, p=2, q=5, blocks=(2, 1), uncontrollable=cut, conditioning=1e3, seed=seed)
+            rng = np.random.Generator(np.random.PCG64(seed))
+            u, z, y = rng.uniform(-1, 1, (121, 2)), rng.standard_normal(5), np.empty((120, 2))
+            for k in range(120):
+                y[k] = p.C1 @ z + p.D @ u[k] - p.C2 @ (p.B2 @ u[k] + p.N @ p.B2 @ u[k + 1])
+                z = p.A1 @ z + p.B1 @ u[k]
+            verdict = analyze(u, y, prior=Prior(q=5, s=2)).r_controllability.verdict
+            assert verdict == (Verdict.NOT_PROVED if cut else Verdict.PROVED)

@@ -13,7 +13,7 @@ from .modal import modal
 from .noise import Noise, as_noise
 from .pencil import reduce
 from .source import from_records
-from .theorems import decibel
+from .theorems import decibel, threshold
 from .verdict import Prior
 
 
@@ -60,7 +60,7 @@ def indicate(u: ArrayLike, y: ArrayLike, *, prior: Prior, L: int, noise: Noise |
     data = source.window(L, d)
     if data.inverse is None:
         return Indicator(rank_need=need, reason=f"the inputs are not persistently exciting of order {d}")
-    eps = level.hankel_bound(data, level.level(data, source.y_scale, q)) + data.floor
+    eps = threshold(data, q, level.hankel_bound(data, level.level(data, source.y_scale, q)))
     seen = int(np.count_nonzero(data.sigma > eps))
     rank = m * d + seen
     if not min(seen, q):

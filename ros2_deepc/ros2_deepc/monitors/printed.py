@@ -12,6 +12,7 @@ from .noise import Noise
 from .pencil import reduce
 from .search import minimum
 from .source import Source
+from .theorems import threshold
 from .verdict import Printed, Prior
 
 
@@ -64,7 +65,7 @@ def _theorem(number: int, source: Source, prior: Prior, L: int, noise: Noise) ->
         return Printed(holds=False, rank=0, required=0, reason=str(error))
     inputs = data.m * L
     beyond = data.m * (prior.s - 1) + prior.q if slow else prior.n
-    eps = bound + data.floor
+    eps = threshold(data, beyond, bound)
     if data.inverse is None:
         reason = f"the inputs are not persistently exciting of order {data.d}"
         return Printed(holds=False, rank=0, required=inputs + beyond, reason=reason)

@@ -35,6 +35,10 @@ ON_CIRCLE = 1e-6
 CLEAR = 100
 """When fewer than q directions are seen, all must exceed the noise so many times before a drop of rank means a mode."""
 
+GRACE = 1000
+"""Exact data may hold more rounding than the outputs alone explain, for states are larger than outputs: what directions
+beyond q show, up to so many rounding bounds, counts as rounding and not against the prior."""
+
 SLOW = Names("1*", "3*", "q")
 WHOLE = Names("2*", "4*", "n")
 
@@ -105,6 +109,13 @@ def place(lam: complex, tolerance: float) -> str:
     return "inside" if distance < 0 else "outside"
 
 
+def threshold(data: Compression, q: int, eps_noise: float) -> float:
+    """Bound of noise and rounding together, when no more than q directions are expected."""
+    eps = eps_noise + data.floor
+    beyond = float(data.sigma[q]) if q < data.sigma.size else 0.0
+    return 10 * beyond if eps_noise == 0 and eps < beyond <= GRACE * eps else eps
+
+
 def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW) -> Outcome:
     """Runs both tests of a family on one window.
 
@@ -114,7 +125,7 @@ def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW) -> 
         eps_noise: bound of the Hankel matrix of the noise on Y, scaled units; the rounding floor is added.
         names: family of theorems.
     """
-    eps = eps_noise + data.floor
+    eps = threshold(data, q, eps_noise)
     if data.inverse is None:
         return nothing(f"the inputs are not persistently exciting of order {data.d}", data.m * data.d + q, eps)
     seen = int(np.count_nonzero(data.sigma > eps))
