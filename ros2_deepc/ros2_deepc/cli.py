@@ -25,6 +25,7 @@ COMMANDS = {
     "check": "bags",
     "export": "bags",
     "layout": "bags",
+    "tune": "tune",
     "gateway": "gateway",
     "field": "gateway",
 }
