@@ -36,6 +36,11 @@ def text():
     return TAGS
 
 
+@pytest.fixture(scope="session")
+def tag_map():
+    return loads(TAGS)
+
+
 @dataclass
 class Bench:
     """A gateway and a field in memory: raw numbers, a scan counter, an echo; time moves by hand.
