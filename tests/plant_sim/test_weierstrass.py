@@ -110,6 +110,23 @@ def test_singular_pencil_is_refused(E, A):
         DescriptorSystem(E, A, np.ones((n, 1)), np.ones((1, n)))
 
 
+def test_random_singular_pencils_never_pass():
+    """Kronecker blocks L_e and L_h' hidden among finite and infinite eigenvalues by random S and P."""
+    noticed = 0
+    for index in range(60):
+        rng = np.random.Generator(np.random.PCG64([index, 5]))
+        e, h, q, b = (int(v) for v in rng.integers(0, [4, 4, 4, 3]))
+        E = linalg.block_diag(np.eye(e, e + 1), np.eye(h + 1, h), np.eye(q), np.eye(b, k=1))
+        A = linalg.block_diag(np.eye(e, e + 1, k=1), np.eye(h + 1, h, k=-1), rng.standard_normal((q, q)), np.eye(b))
+        S, P = rng.standard_normal((2, len(E), len(E)))
+        try:
+            with pytest.raises(UnclearStructureError):
+                DescriptorSystem(S @ E @ P, S @ A @ P, np.ones((len(E), 1)), np.ones((1, len(E)))).weierstrass()
+        except NotRegularError:
+            noticed += 1
+    assert noticed >= 57
+
+
 def test_doubtful_rank_is_not_guessed():
     system = DescriptorSystem(np.diag([1.0, 1e-13]), np.diag([0.5, 1.0]), np.ones((2, 1)), np.ones((1, 2)))
     with pytest.raises(UnclearStructureError, match=r"relative singular value 1\.0e-13.*tolerance="):
