@@ -132,7 +132,7 @@ def references(solves):
 
 FIRST_STEP = """
 import resource, time
-begin = time.perf_counter()
+
 import numpy as np
 from ros2_deepc.control import DeepcController, DeepcSettings
 c = DeepcController(3, 2, DeepcSettings(N=6, L=14, T=104, q=6, u_min=-1.0, u_max=1.0))
@@ -142,7 +142,7 @@ for k in range(104):
     c.observe(u, x)
     x = 0.8 * x + u[:2]
 c.step([1.0, 0.0])
-print(time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+print(time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
 
 
@@ -152,7 +152,7 @@ def first_step():
     ]
     figures = np.array([[float(v) for v in run.stdout.split()] for run in runs])
     seconds, memory = figures[:, 0].min(), figures[:, 1].max()
-    print(f"import, collect and first step in a fresh process: {seconds:.2f} s, {memory:.0f} MB")
+    print(f"import, collect and first step in a fresh process: {seconds:.2f} s CPU, {memory:.0f} MB")
     if memory > 80:
         yield f"memory: {memory:.0f} MB"
     if seconds > 1.0:  # half of it on a machine that does nothing else

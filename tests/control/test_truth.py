@@ -94,3 +94,17 @@ def test_equilibrium_holds_a_reachable_reference(seed, solver, plant_form, loop)
     assert np.abs(run.y[-1] - reference).max() < 1e-5 * max(1.0, np.abs(reference).max())
     assert results[-1].distance < 1e-5 * max(1.0, np.abs(reference).max())
     assert results[-1].feasible
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_cannot_be_held_ends_at_the_nearest_steady_state(seed, plant_form, loop):
+    """One input, two outputs: the nearest point of the line of steady outputs is known."""
+    form = plant_form(300 + seed, m=1, q=3, radius=(0.3, 0.8))
+    gain = (form.C1 @ np.linalg.solve(np.eye(3) - form.A1, form.B1) + form.D)[:, 0]
+    reference = 0.4 * gain + np.array([-gain[1], gain[0]]) / np.linalg.norm(gain)  # off the line by one
+    nearest = gain * (gain @ reference) / (gain @ gain)
+    run = loop(form, DeepcSettings(N=6, L=14, q=3, Q=5.0, u_min=-1.0, u_max=1.0, solver="daqp"), seed).collect()
+    for _ in range(150):
+        result = run.step(reference)
+    assert np.abs(run.y[-1] - nearest).max() < 0.03
+    assert result.distance == pytest.approx(np.abs(reference - nearest).max(), abs=0.01)

@@ -249,8 +249,9 @@ def _equilibrium_cost(cost: _Cost, sized: Sized, outputs: Array, F: Array, weigh
 
     y_s and u_s are the last predicted output and the last planned input, not further unknowns: at rest the two
     readings coincide, and the program stays a pure box problem of which both solvers make short work. A reference
-    that can be held is held exactly, since every term vanishes there. A previewed reference is followed relative to its
-    end.
+    that can be held is held exactly, since every term vanishes there. One that cannot be held ends at the nearest
+    steady state up to offset_weight / terminal_weight of its distance. A previewed reference is followed relative to
+    its end.
     """
     p, L, tail = sized.p, sized.base.L, sized.base.tail
     Q = masked(sized)
