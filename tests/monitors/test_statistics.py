@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A sample of the statistics in benchmarks/monitor_statistics.py: no claim may be broken."""
+"""A sample of the statistics in benchmarks/: no claim may be broken."""
 
 import importlib.util
 import sys
@@ -8,16 +8,20 @@ from pathlib import Path
 
 import pytest
 
-FILE = Path(__file__).parents[2] / "benchmarks" / "monitor_statistics.py"
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+def load(name):
+    spec = importlib.util.spec_from_file_location(name, BENCHMARKS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture(scope="module")
 def tables():
-    spec = importlib.util.spec_from_file_location("monitor_statistics", FILE)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module.TABLES
+    return load("monitor_statistics").TABLES
 
 
 @pytest.mark.parametrize(
@@ -34,3 +38,9 @@ def tables():
 )
 def test_no_claim_is_broken(tables, name, plants):
     assert tables[name][0](plants).broken == []
+
+
+def test_only_the_certificate_is_right_about_every_kind():
+    answers = load("monitors").answers(8)
+    assert list(answers["analyze (certificate)"].values()) == [100.0, 0.0, 100.0]
+    assert answers["matrix_rank, random lambda"]["uncontrollable"] == 100.0
