@@ -138,7 +138,7 @@ def test_sample_of_another_size_is_an_error(make, tmp_path):
         load_run(tmp_path / "bag")
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 10**6), shuffle=st.integers(0, 10**6), drop=st.sets(st.integers(0, 60), max_size=10))
 def test_any_order_of_arrival_gives_the_same_run(make, tmp_path_factory, seed, shuffle, drop):
     rng = np.random.Generator(np.random.PCG64(shuffle))

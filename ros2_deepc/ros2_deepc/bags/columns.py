@@ -59,12 +59,12 @@ class Columns:
             self._leading += 1
 
     def column(self, name: str) -> Array:
-        """One scalar field of all messages, shape (R,)."""
-        return np.array(self.scalars[name], dtype=np.float64)
+        """One scalar field of all messages, shape (R,); a view, read-only: no message can be added after it."""
+        return _view(self.scalars[name], np.float64)
 
     def vectors(self) -> Array:
         """The vector field of all messages, shape (R, width)."""
-        rows = np.array(self._vector, dtype=np.float64).reshape(-1, max(self._width, 1))
+        rows = _view(self._vector, np.float64).reshape(-1, max(self._width, 1))
         if self._leading:
             rows = np.vstack([np.full((self._leading, rows.shape[1]), np.nan), rows])
         return rows[:, : self._width]
@@ -76,11 +76,21 @@ class Columns:
             BagError: if an index k is 2**40 or more, which no sampled plant reaches.
         """
         rank = {epoch: i for i, epoch in enumerate(epochs)}
-        k = np.array(self.k, dtype=np.uint64)
+        k = _view(self.k, np.uint64)
         if k.size and k.max() >= 1 << _K_BITS:
             raise BagError(f"sample index {k.max()} makes no sense")
-        ranks = np.array([rank.get(epoch, NO_EPOCH) for epoch in self.epoch], dtype=np.int64)
+        epoch = _view(self.epoch, np.int64)
+        ranks = np.full(len(epoch), NO_EPOCH, dtype=np.int64)
+        for name, place in rank.items():
+            ranks[epoch == name] = place
         return np.where(ranks < 0, NO_EPOCH, (ranks << _K_BITS) + k.astype(np.int64))
+
+
+def _view(column: "array[Any]", kind: type[np.generic]) -> NDArray[Any]:
+    """A column without copying it."""
+    view = np.frombuffer(column, dtype=kind) if len(column) else np.empty(0, kind)
+    view.flags.writeable = False
+    return view
 
 
 def first_rows(keys: Keys) -> tuple[Keys, NDArray[np.intp]]:
@@ -92,6 +102,8 @@ def first_rows(keys: Keys) -> tuple[Keys, NDArray[np.intp]]:
 
 def pick(values: NDArray[Any], keys: Keys, wanted: Keys, missing: Any = np.nan) -> NDArray[Any]:
     """Rows of ``values`` (which have these keys, the first ones count) for the wanted keys; else ``missing``."""
+    if len(keys) == len(wanted) and np.array_equal(keys, wanted) and (np.diff(keys) > 0).all():
+        return values
     distinct, rows = first_rows(keys)
     out = np.full((len(wanted), *values.shape[1:]), missing, dtype=values.dtype)
     if len(distinct):

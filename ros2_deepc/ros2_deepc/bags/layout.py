@@ -120,7 +120,10 @@ def bag_information(
     }
 
 
-class _Dumper(yaml.SafeDumper):
+_Base: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)  # the one in C where libyaml is there
+
+
+class _Dumper(_Base):  # type: ignore[misc]
     """Writes repeated values out in full: rosbag2's reader is happier without YAML anchors."""
 
     def ignore_aliases(self, data: object) -> bool:  # noqa: ARG002 - signature of the base class

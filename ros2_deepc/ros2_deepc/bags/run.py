@@ -244,7 +244,9 @@ def _seconds(nanoseconds: NDArray[np.int64]) -> Array:
 def _references(topic: Columns, state: Columns, epochs: list[int], keys: NDArray[np.int64], p: int) -> Array:
     """The reference the controller says it used; where it is silent, what was asked for on the topic, from its k on."""
     used = state.vectors()
-    ref = pick(used, state.keys(epochs), keys) if used.shape[1] == p else np.full((len(keys), p), np.nan)
+    ref = np.full((len(keys), p), np.nan)
+    if used.shape[1] == p:
+        ref[:] = pick(used, state.keys(epochs), keys)
     asked, asked_keys = topic.vectors(), topic.keys(epochs)
     if asked.shape[1] == p and (asked_keys >= 0).any():
         order = np.argsort(asked_keys, kind="stable")
