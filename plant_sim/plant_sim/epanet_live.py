@@ -210,10 +210,11 @@ class LiveNetwork:
                 patterns[i] = [float(np.mean(patterns[i]))]
                 for j in range(1, length + 1):
                     tk.setpatternvalue(handle, i, j, patterns[i][0])
+        patterns[0] = patterns[int(tk.getoption(handle, tk.DEMANDPATTERN))]  # consumers without one of their own
+        nodes = range(1, tk.getcount(handle, tk.NODECOUNT) + 1)
+        self._junctions = [node for node in nodes if tk.getnodetype(handle, node) == JUNCTION]
         self._consumers = []
-        for node in range(1, tk.getcount(handle, tk.NODECOUNT) + 1):
-            if tk.getnodetype(handle, node) != JUNCTION:
-                continue
+        for node in self._junctions:
             for category in range(1, tk.getnumdemands(handle, node) + 1):
                 base = tk.getbasedemand(handle, node, category)
                 self._consumers.append((base, patterns[tk.getdemandpattern(handle, node, category)]))
@@ -227,7 +228,19 @@ class LiveNetwork:
                 self._tk.runH(self._handle)
             except Exception as error:
                 raise PlantError(f"EPANET cannot solve {self.name} at sample {k}: {error}") from None
-        return [f"EPANET: {str(warning.message).strip()}" for warning in caught]
+        return [self._complaint()] if caught else []
+
+    def _complaint(self) -> str:
+        """What EPANET may have warned of: it says no more than that it does."""
+        tk, handle = self._tk, self._handle
+        error = tk.getstatistic(handle, tk.RELATIVEERROR)
+        if error > tk.getoption(handle, tk.ACCURACY):
+            return "EPANET: the hydraulics did not converge"
+        dry = [node for node in self._junctions if tk.getnodevalue(handle, node, tk.PRESSURE) < 0]
+        if dry:
+            names = ", ".join(tk.getnodeid(handle, node) for node in dry[:3])
+            return f"EPANET: pressure below zero at {names}" + (f" and {len(dry) - 3} more" if len(dry) > 3 else "")
+        return "EPANET: pumps or valves that cannot do what is asked, or nodes that are cut off"
 
 
 class EpanetStepper:

@@ -4,12 +4,11 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .arrays import matrix
+from .arrays import Array, matrix
 from .demand import parse_demand
 from .epanet_live import EpanetStepper, LiveNetwork
 from .errors import PlantError
@@ -32,8 +31,7 @@ def epanet_from_inp(
     multiplier: float = 1.0,
     swing: float = 0.1,
     noise: ArrayLike = 0.0,
-    references: Sequence[tuple[int, ArrayLike]] = (),
-    settings: Mapping[str, Any] | None = None,
+    references: Sequence[tuple[int, Mapping[str, float]]] = (),
     steps: int = 400,
     name: str | None = None,
 ) -> Plant:
@@ -50,8 +48,7 @@ def epanet_from_inp(
         multiplier: on the demand.
         swing: amplitude of the daily sine of "diurnal".
         noise: standard deviation of the measurement noise, one or one an output.
-        references: as of `Plant`; by default the outputs at the start.
-        settings: suggested controller settings on top of the usual ones.
+        references: (k, values by output name): they hold from sample k on; without any, the outputs at the start.
         steps: suggested length of a run.
         name: short name; by default the file's.
 
@@ -77,6 +74,7 @@ def epanet_from_inp(
     at_start = EpanetStepper(first, np.zeros(p), np.random.default_rng(0)).push((low + high) / 2)
     first.close()
     levels = all(tag.what in ("level", "demand") for tag in first.outputs)
+    weights = [float(tag.what != "demand") for tag in first.outputs]
     kinds = [name.partition(":")[0] for name in (*inputs, *outputs)]
     return Plant(
         name=name or first.name,
@@ -90,14 +88,25 @@ def epanet_from_inp(
         output_units=tuple(UNITS[kind] for kind in kinds[m:]),
         input_min=low,
         input_max=high,
-        prior=StructurePrior(q=tanks, s=1),
+        prior=StructurePrior(q=tanks + 2 * ("demand" in outputs), s=1),  # a daily wave has two states
         D=np.zeros((p, m)) if levels else None,
-        references=tuple((k, np.asarray(y, dtype=np.float64)) for k, y in references) or ((0, at_start),),
-        settings={"N": 6, "L": 16, "T": 150, "Q": [1.0] * p, "R": [0.1] * m, "terminal": "equilibrium",
-                  "form": "incremental", **(settings or {})},
+        references=_schedule(references, outputs, at_start),
+        settings={"N": 6, "L": 16, "T": 150, "Q": weights, "R": [0.01] * m, "terminal": "none", "form": "incremental"},
         steps=steps,
         begin=lambda rng: EpanetStepper(network(), std, rng),
     )  # fmt: skip
+
+
+def _schedule(
+    references: Sequence[tuple[int, Mapping[str, float]]], outputs: Sequence[str], at_start: Array
+) -> tuple[tuple[int, Array], ...]:
+    """References for all outputs: each keeps what it last was, the outputs at the start to begin with."""
+    held, schedule = at_start.copy(), []
+    for k, values in references:
+        for name, value in values.items():
+            held[outputs.index(name)] = value
+        schedule.append((k, held.copy()))
+    return tuple(schedule) or ((0, at_start),)
 
 
 def net3_epanet(
@@ -122,6 +131,7 @@ def net3_epanet(
         PlantError: if an option is not understood.
     """
     measured = outputs.replace(",", " ").split()
+    goals = ((0, {"level:3": 9.4}), (275, {"level:3": 9.2})) if "level:3" in measured else ()
     return epanet_from_inp(
         NET3,
         inputs=("pump:335", "pump:10"),
@@ -133,6 +143,7 @@ def net3_epanet(
         multiplier=multiplier,
         swing=swing,
         noise=noise,
+        references=goals,
         steps=steps,
         name="net3_epanet",
     )

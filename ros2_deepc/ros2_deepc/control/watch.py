@@ -19,9 +19,10 @@ class Bounds:
     Attributes:
         trip_min: lowest output that is still trusted to the controller, one for all or one an output.
         trip_max: highest one.
-        trip_error: largest mean prediction error over ``trip_window`` samples, relative to what "nothing changes" would
-            have got wrong on the data; 1 = the predictor is no better than that.
-        trip_window: samples of that mean.
+        trip_error: largest median prediction error over ``trip_window`` samples, relative to what "nothing changes" would
+            have got wrong on the data; 1 = the predictor is no better than that. A disturbance from outside is a
+            surprise for a few samples only, and leaves the median alone.
+        trip_window: samples of that median.
 
     Raises:
         ValueError: for a number that cannot work.
@@ -105,10 +106,10 @@ class Watch:
         error = np.abs(y - np.asarray(predicted, dtype=np.float64))
         told = (scale > 0) & ~np.isnan(error)
         self._errors.append(float((error[told] / scale[told]).max(initial=0.0)))
-        mean = float(np.mean(self._errors))
-        if len(self._errors) == bounds.trip_window and mean > bounds.trip_error:
+        typical = float(np.median(self._errors))
+        if len(self._errors) == bounds.trip_window and typical > bounds.trip_error:
             return (
-                f"predictions were off by {mean:.3g} times the changes seen in the data over the last "
+                f"predictions were off by {typical:.3g} times the changes seen in the data over the last "
                 f"{bounds.trip_window} samples: more data, more regularisation or a smaller N is needed"
             )
         return ""
