@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The linear equations of the heads of a water network around one of its steady states."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from .arrays import Array, frozen
 from .conductance import conductance, holds
 from .errors import PlantError
-from .hydraulics import JUNCTION, RESERVOIR, TANK, Snapshot
+from .hydraulics import JUNCTION, RESERVOIR, TANK, Link, Snapshot
 
 FLOW_FLOOR = 1e-5  # m3/s: a link at rest would have infinite conductance
 CONDUCTANCE_CAP = 1e3  # m2/s: a few very short pipes; time constants change by less than 0.01 %
@@ -26,7 +26,7 @@ class HeadModel:
         storage: tank areas [m2], 1 for reservoirs, 0 for junctions; shape (n,).
         flow: net inflow of each node per head [m2/s]; zero rows for reservoirs; shape (n, n).
         carry: which balance an injection at a node enters: its own, or that of the other end of a valve that holds the
-            node's head; shape (n, n).
+            node's head, and none at a reservoir; shape (n, n).
         floored: links whose flow was below the floor.
         capped: links whose conductance was capped.
         left_out: nodes that closed links cut off from every reservoir and tank.
@@ -97,14 +97,38 @@ def _anchored(network: Snapshot, conductances: list[float], held: dict[int, int]
     return found
 
 
+def _laplacian(links: Sequence[Link], conductances: Sequence[float], position: Mapping[int, int]) -> Array:
+    """Net inflow of each node per head [m2/s], shape (n, n); ``position`` maps nodes of the network to states."""
+    flow = np.zeros((len(position), len(position)))
+    for link, g in zip(links, conductances, strict=True):
+        if g > 0 and link.ends[0] in position:
+            i, j = position[link.ends[0]], position[link.ends[1]]
+            flow[[i, j], [i, j]] -= g
+            flow[[i, j], [j, i]] += g
+    return flow
+
+
+def _carry(held: Mapping[int, int], position: Mapping[int, int]) -> Array:
+    """Which balance the inflow of a node enters: a held node hands it on through its valve, or valves in series."""
+    carry = np.eye(len(position))
+    for node in held:
+        end, seen = held[node], {node}
+        while end in held and end not in seen:
+            seen.add(end)
+            end = held[end]
+        carry[position[node]] = 0.0
+        if end in position and end not in held:
+            carry[position[end], position[node]] = 1.0
+    return carry
+
+
 def head_model(network: Snapshot, first: Sequence[str] = ()) -> HeadModel:
     """Linearises ``network``; the junctions named in ``first`` lead the others."""
     conductances, floored, capped = _conductances(network)
     held = _held(network)
     # The flow of a valve that holds a head is no function of the heads: it couples the ends only through `carry`.
-    holding = {frozenset(pair) for pair in held.items()}
     free = [
-        0.0 if frozenset(link.ends) in holding and holds(link, network) in ("downstream", "upstream") else g
+        0.0 if holds(link, network) in ("downstream", "upstream") else g
         for link, g in zip(network.links, conductances, strict=True)
     ]
     anchored = _anchored(network, free, held)
@@ -116,26 +140,13 @@ def head_model(network: Snapshot, first: Sequence[str] = ()) -> HeadModel:
     )
     position = {node: state for state, node in enumerate(order)}
     nodes = [network.nodes[i] for i in order]
-    flow = np.zeros((len(nodes), len(nodes)))
-    for link, g in zip(network.links, free, strict=True):
-        if g > 0 and link.ends[0] in position:
-            i, j = position[link.ends[0]], position[link.ends[1]]
-            flow[[i, j], [i, j]] -= g
-            flow[[i, j], [j, i]] += g
-    flow[np.diag_indices(len(nodes))] -= [node.relief for node in nodes]
-    carry = np.eye(len(nodes))
-    for node in held:
-        end, seen = held[node], {node}
-        while end in held and end not in seen:
-            seen.add(end)
-            end = held[end]
-        carry[position[node]] = 0.0
-        if end in position and end not in held:
-            carry[position[end], position[node]] = 1.0
-    flow = carry @ flow
+    reservoirs = [node.kind == RESERVOIR for node in nodes]
+    carry = _carry(held, position)
+    flow = _laplacian(network.links, free, position) - np.diag([node.relief for node in nodes])
+    flow = carry @ flow if held else flow  # a large dense product that most networks do not need
     for node in held:
         flow[position[node], position[node]] = -1.0
-    flow[[node.kind == RESERVOIR for node in nodes]] = 0.0
+    flow[reservoirs], carry[reservoirs] = 0.0, 0.0
     return HeadModel(
         names=tuple(node.name for node in nodes),
         dynamic=sum(node.kind != JUNCTION for node in nodes),

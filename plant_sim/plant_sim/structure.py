@@ -78,20 +78,18 @@ def _size(*factors: Array) -> float:
     return float(product.max(initial=0.0))
 
 
-def _conserved(system: DescriptorSystem, form: Weierstrass, floor: float) -> Array:
-    """Rows c = w' S1 E with w' A1 = w' and w' B1 = 0, in reduced echelon form; shape (k, n)."""
-    size = float(linalg.norm(form.B1, 2)) if form.B1.size else 0.0
-    M = np.hstack([form.A1 - np.eye(form.q), form.B1 / size if size > 0 else 0 * form.B1])
-    if not form.q:
+def _conserved(system: DescriptorSystem, form: Weierstrass, control: Reach) -> Array:
+    """Rows c = w' S1 E with w' A1 = w' among what no input reaches, in reduced echelon form; shape (k, n)."""
+    W = control.lost
+    if not W.size:
         return np.empty((0, system.n))
-    U, sigma, _ = linalg.svd(M)
-    sigma = np.concatenate([sigma, np.zeros(form.q - len(sigma))])
-    rows = U[:, sigma <= floor].T @ form.S[: form.q] @ system.E
+    U, sigma, _ = linalg.svd(W.T @ form.A1 @ W - np.eye(W.shape[1]))
+    rows = (W @ U[:, sigma <= 10 * control.floor]).T @ form.S[: form.q] @ system.E
     if not len(rows):
         return np.empty((0, system.n))
     pivots = linalg.qr(rows, mode="r", pivoting=True)[1][: len(rows)]
     rows = np.asarray(np.linalg.solve(rows[:, np.sort(pivots)], rows))
-    rows[np.abs(rows) < 1e3 * floor * np.abs(rows).max()] = 0.0
+    rows[np.abs(rows) < 1e3 * control.floor * np.abs(rows).max()] = 0.0
     return rows
 
 
@@ -134,7 +132,7 @@ def structure(system: DescriptorSystem) -> Structure:
         fast_observe_margin=observe_margin,
         fast_controllable=fast_controllable,
         fast_observable=fast_observable,
-        conserved=frozen(_conserved(system, form, control.floor)),
+        conserved=frozen(_conserved(system, form, control)),
         reachable=frozen(P1 @ control.reachable),
         unobservable=frozen(P1 @ observe.lost),
     )

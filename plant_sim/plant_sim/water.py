@@ -27,13 +27,13 @@ def _pump(network: Snapshot, name: str) -> Link:
 def _input_column(model: HeadModel, network: Snapshot, name: str) -> tuple[Array, str]:
     """Inflow that a unit of an input causes at each node [m3/s], shape (n,), and the input's unit."""
     if not name.startswith("pump:"):
-        return model.carry @ model.head(name), "m3/s"
+        column = model.carry @ model.head(name)
+        if network.nodes[network.index(name)].kind == RESERVOIR:
+            raise PlantError(f"{name} is a reservoir, whose level nothing moves: inject at a junction or a tank")
+        return column, "m3/s"
     pump = _pump(network, name.removeprefix("pump:"))
     ends = [model.head(network.nodes[i].name) for i in pump.ends]
-    column = speed_gain(pump, network, FLOW_FLOOR) * (model.carry @ (ends[1] - ends[0]))
-    column[[network.nodes[network.index(node)].kind == RESERVOIR for node in model.names[: model.dynamic]]
-           + [False] * (len(model.names) - model.dynamic)] = 0.0  # fmt: skip
-    return column, "1"
+    return speed_gain(pump, network, FLOW_FLOOR) * (model.carry @ (ends[1] - ends[0])), "1"
 
 
 def _some(names: Sequence[str]) -> str:

@@ -258,6 +258,7 @@ def test_links_at_rest_are_named():
         ({"inputs": ["pump:nope"]}, "no pump 'nope'"),
         ({"inputs": ["pump:335"]}, "pump 335 is off at this hour"),
         ({"inputs": []}, "name nodes as inputs"),
+        ({"inputs": ["Lake"]}, "Lake is a reservoir"),
         ({"tau": 0.0}, "tau must be positive"),
         ({"hour": 0.37}, r"its steps lead to hour=|no solution at hour 0.37"),
     ],
