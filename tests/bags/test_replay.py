@@ -21,7 +21,7 @@ from ros2_deepc.bags.whatif import what_if
 from ros2_deepc.control import DeepcController, DeepcSettings
 from ros2_deepc.monitors import Prior
 from ros2_deepc.monitors.live import LiveMonitor
-from ros2_deepc.nodes.controller_node import make_agent, state_message
+from ros2_deepc.nodes.controller_node import make_agent, settings_for, state_message
 from ros2_deepc.nodes.monitor_node import make_live, report_message
 
 PARAMETERS = {
@@ -230,7 +230,8 @@ SETTINGS = {"N": 3, "L": 5, "Q": 4.0, "R": 0.5, "terminal": "equilibrium", "q": 
 
 def test_what_if_with_the_same_settings_is_what_was(make, loop, tmp_path):
     run = load_run(write(make, tmp_path / "bag", loop))
-    answer = what_if(run, DeepcController(2, 2, DeepcSettings(**SETTINGS)))
+    settings = settings_for(PARAMETERS["controller"], make.plant_info())  # as the node has them
+    answer = what_if(run, DeepcController(2, 2, settings))
     first = int(np.flatnonzero(run.mode == 2)[0]) + 1
     assert answer.first == first
     assert (answer.failed, answer.missing) == (0, "")
