@@ -42,7 +42,7 @@ class Engine:
         self.gateway = gateway
         self._link, self._clock = link, clock
         self._on_outputs, self._on_look = on_outputs, on_look
-        self._wake = asyncio.Event()
+        self._wake, self._ended = asyncio.Event(), asyncio.Event()
         self._connected = False
         self._count = np.nan
         self._stop = False
@@ -58,15 +58,17 @@ class Engine:
                 await self._until(self._clock() + self.gateway.wait(self._clock()))
         finally:
             await self._link.close()
+            self._ended.set()
 
     async def leave(self) -> None:
-        """Leaves the fallback behind in the field, then ends ``run``."""
+        """Leaves the fallback behind in the field, ends ``run`` and waits for that."""
         gateway = self.gateway
         gateway.leave(self._clock())
         end = self._clock() + gateway.tags.supervision.ramp + 2 * _RETRY
         while not (gateway.settled() or self._clock() > end):
             await asyncio.sleep(gateway.tags.period / 2)
         self.stop()
+        await self._ended.wait()
 
     def stop(self) -> None:
         """Ends ``run`` at once."""

@@ -220,5 +220,7 @@ async def _drop(client: Client) -> None:
     try:
         async with asyncio.timeout(1.0):
             await client.disconnect()
-    except Exception:  # there is nobody left to tell
+    except Exception as error:  # the other side may be gone
+        logging.getLogger(__name__).debug("disconnecting: %s", error)
+    finally:
         client.disconnect_socket()
