@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from plant_sim.stepper import LinearStepper
+from ros2_deepc.behavior import SlidingFactor
 from ros2_deepc.control import DeepcController, DeepcSettings, NotReadyError, Status
 from ros2_deepc.control.qp import Answer
 
@@ -153,6 +154,21 @@ def test_a_moving_window_stays_exact(policy, predictor, plant_form, truth, loop)
         if k % 20 == 0:
             assert np.abs(result.y_plan - model.predict(z1, result.u_plan)).max() < 1e-8
     assert run.controller.window_length == 130
+
+
+def test_a_whisper_of_excitation_is_enough_for_exact_data(plant_form, truth, loop):
+    """At rest with a dither of 1e-5: the squared data matrix cannot see the inputs any more, the factor takes over."""
+    form = plant_form(9)
+    settings = DeepcSettings(**BASE, T=110, terminal="none", data_policy="sliding", dither=1e-5, solver="daqp")
+    run = loop(form, settings, 9).collect()
+    for _ in range(300):
+        run.step([0.0, 0.0])
+    assert type(run.controller._data._stream._matrix) is SlidingFactor
+    z1 = run.stepper.z1
+    result = run.step([1.0, -1.0])
+    exact = truth(form, 14).predict(z1, result.u_plan)
+    assert np.abs(result.y_plan - exact).max() < 1e-5
+    assert "guard" in run.controller.weak
 
 
 def test_guarded_keeps_the_last_rich_window_and_says_so(plant_form, truth, loop):

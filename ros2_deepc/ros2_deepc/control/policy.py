@@ -129,11 +129,23 @@ class RunData:
             self.weak = self._weakness(newest)
             if self.weak and guarded:
                 return None
-            if not newest.precise and stream.refine(self._window.records()):
-                newest = stream.predictor() or newest
+            if newest.precise or stream.orthogonal:
+                return newest
+        except PoorDataError as error:
+            self.weak = f"the newest window determines no predictor: {error}"
+            if guarded or stream.orthogonal:
+                return None
+        return self._refined(stream)
+
+    def _refined(self, stream: "_Stream") -> Predictor | None:
+        """The newest window's predictor with all digits, after the squared matrix has lost too many of them."""
+        stream.refine(self._window.records())
+        try:
+            newest = stream.predictor() or self.snapshot.predictor
         except PoorDataError as error:
             self.weak = f"the newest window determines no predictor: {error}"
             return None
+        self.weak = self._weakness(newest)
         return newest
 
     def _weakness(self, newest: Predictor) -> str:
@@ -201,13 +213,15 @@ class _Stream:
         for u, y in zip(*records[-1], strict=True):
             self.push(np.concatenate([u, y]))
 
-    def refine(self, records: tuple[Record, ...]) -> bool:
-        """Goes over to the orthogonal factor; says whether that changed anything."""
-        if isinstance(self._matrix, SlidingFactor):
-            return False
+    @property
+    def orthogonal(self) -> bool:
+        """Whether the matrix is followed by orthogonal steps, with all digits."""
+        return isinstance(self._matrix, SlidingFactor)
+
+    def refine(self, records: tuple[Record, ...]) -> None:
+        """Goes over to the orthogonal factor."""
         self._matrix = self._make(SlidingFactor)
         self.refill(records)
-        return True
 
     def push(self, w: Array) -> None:
         """Takes a sample [u; d; y]."""
