@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .modal import modal
+from .modal import eigenvalues
 from .noise import Noise, as_noise
 from .pencil import reduce
 from .source import from_records
@@ -67,7 +67,7 @@ def indicate(u: ArrayLike, y: ArrayLike, *, prior: Prior, L: int, noise: Noise |
         return Indicator(rank=rank, rank_need=need, reason="no direction rises above the noise bound")
     observe = decibel(float(data.sigma[q - 1]), eps) if q <= data.sigma.size else -np.inf
     pencil = reduce(data, min(seen, q))
-    modes = modal(pencil).eigenvalues
+    modes = eigenvalues(pencil)
     modes = modes[modes.imag >= 0]  # conjugates are equally strong
     strength = pencil.singular_values(modes)[:, -1]
     weakest = int(np.argmin(strength))

@@ -5,17 +5,23 @@
 
 import time
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .analysis import analyze
-from .verdict import Prior, Report
+from .analysis import analyze_records
+from .indicator import Indicator, indicate
+from .noise import Noise
+from .verdict import Finding, Prior, Report, Verdict
 
 Array = NDArray[np.float64]
+Pair = tuple[Array, Array]
 
 _PATIENCE = 20  # outputs that may wait for a late input before it counts as lost
+ENTER = 3.0  # [dB] margin from which a property counts as proved; it is kept down to 0 dB
+PROPERTIES = ("r_controllability", "c_controllability", "r_observability", "c_observability")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +41,24 @@ class LiveReport:
     compute_time: float
 
 
+@dataclass(frozen=True, slots=True)
+class Job:
+    """An analysis that is due: everything it needs, so that another thread may do it.
+
+    Attributes:
+        k: index of the newest outputs.
+        records: unbroken records, pairs (u, y).
+    """
+
+    k: int
+    records: list[Pair]
+
+
 class LiveMonitor:
     """The window of one run (one epoch) and its reports.
 
-    Inputs and outputs come in two streams; outputs k are used once the inputs that they depend on are there.
+    Inputs and outputs come in two streams; outputs k are used once the inputs that they depend on are there. A gap in
+    either stream starts a new record; records stand side by side, so that a gap costs columns and no more.
 
     Args:
         prior: what is known of the plant.
@@ -48,20 +68,32 @@ class LiveMonitor:
         L: block rows of the tests, None = chosen by the analysis.
     """
 
-    def __init__(self, prior: Prior, *, window: int, period: int, noise: float = 0.0, L: int | None = None) -> None:
+    def __init__(
+        self,
+        prior: Prior,
+        *,
+        window: int,
+        period: int,
+        noise: Noise | ArrayLike | None = 0.0,
+        L: int | None = None,
+    ) -> None:
         self.prior, self.window, self.period, self.noise, self.L = prior, window, period, noise, L
         self._inputs: dict[int, Array] = {}
         self._waiting: deque[tuple[int, Array, int]] = deque()
-        self._outputs: deque[Array] = deque(maxlen=window)
+        self._outputs: deque[tuple[int, Array]] = deque(maxlen=window)
+        self._starts: set[int] = set()  # outputs with which a record begins
         self._next = 0  # outputs expected next
+        self._last_L = 0  # block rows of the last report
+        self._proved: dict[str, int] = {}  # newest k at which each property was proved
+        self._standing: set[str] = set()  # properties proved by the last report
 
-    def input(self, k: int, u: ArrayLike) -> list[LiveReport]:
-        """Takes the input commanded for k, shape (m,); returns the reports that it completes."""
+    def input(self, k: int, u: ArrayLike) -> list[Job]:
+        """Takes the input commanded for k, shape (m,); returns the analyses that are due."""
         self._inputs[k] = np.array(u, dtype=np.float64)
         return self._drain()
 
-    def output(self, k: int, y: ArrayLike, held: int = 0) -> list[LiveReport]:
-        """Takes outputs k, shape (p,); returns the reports that they complete.
+    def output(self, k: int, y: ArrayLike, held: int = 0) -> list[Job]:
+        """Takes outputs k, shape (p,); returns the analyses that are due.
 
         Args:
             k: index of the outputs.
@@ -71,17 +103,37 @@ class LiveMonitor:
         self._waiting.append((k, np.array(y, dtype=np.float64), held))
         return self._drain()
 
-    def record(self) -> tuple[Array, Array] | None:
-        """The window: inputs (K+s-1, m) and outputs (K, p) that start at the same k; None while it is empty."""
-        K = len(self._outputs)
-        if K == 0:
-            return None
-        first = self._next - K
-        u = np.array([self._inputs[k] for k in range(first, self._next + self.prior.s - 1)])
-        return u, np.array(self._outputs)
+    def analyse(self, job: Job) -> LiveReport:
+        """Does an analysis; may run in another thread than the rest."""
+        started = time.process_time()
+        report = analyze_records(job.records, prior=self.prior, L=self.L, noise=self.noise)
+        samples = sum(len(y) for _, y in job.records)
+        return LiveReport(job.k, self._settle(job.k, report), samples, time.process_time() - started)
 
-    def _drain(self) -> list[LiveReport]:
-        reports = []
+    def indicator(self) -> Indicator | None:
+        """Margins at the modes of the newest record; None before the first report, or while it is too short."""
+        records = self.records()
+        if not self._last_L or not records:
+            return None
+        u, y = records[-1]
+        return indicate(u, y, prior=self.prior, L=self._last_L, noise=self.noise)
+
+    def records(self) -> list[Pair]:
+        """The window: unbroken records, inputs (K+s-1, m) and outputs (K, p) that start at the same k."""
+        pieces: list[list[tuple[int, Array]]] = []
+        for k, y in self._outputs:
+            if not pieces or k in self._starts:
+                pieces.append([])
+            pieces[-1].append((k, y))
+        ahead = self.prior.s - 1
+        return [
+            (np.array([self._inputs[k] for k in range(piece[0][0], piece[-1][0] + 1 + ahead)]),
+             np.array([y for _, y in piece]))
+            for piece in pieces
+        ]  # fmt: skip
+
+    def _drain(self) -> list[Job]:
+        due = []
         while self._waiting:
             k, y, held = self._waiting[0]
             newest = k + self.prior.s - 1
@@ -90,26 +142,55 @@ class LiveMonitor:
                 break
             self._waiting.popleft()
             self._take(k, y, newest, applied)
-            if (k + 1) % self.period == 0:
-                reports += self._report(k)
-        return reports
+            if (k + 1) % self.period == 0 and self._outputs:
+                due.append(Job(k, self.records()))
+        return due
 
     def _take(self, k: int, y: Array, newest: int, applied: Array | None) -> None:
-        """Adds outputs k to the record; a gap in either stream starts a new one."""
-        whole = all(j in self._inputs for j in range(k, newest))
-        if k != self._next or applied is None or not whole:
-            self._outputs.clear()
+        """Adds outputs k to the window; they begin a record if anything before them is missing."""
+        whole = applied is not None and all(j in self._inputs for j in range(k, newest))
+        if k != self._next or not whole:
+            self._starts.add(k if whole else k + 1)
         self._next = k + 1
         if applied is not None and whole:
             self._inputs[newest] = applied
-            self._outputs.append(y)
-        for old in [j for j in self._inputs if j < self._next - self.window]:
-            del self._inputs[old]
+            self._outputs.append((k, y))
+        oldest = self._outputs[0][0] if self._outputs else k
+        _forget(self._inputs, oldest)
+        self._starts = {start for start in self._starts if start >= oldest}
 
-    def _report(self, k: int) -> list[LiveReport]:
-        record = self.record()
-        if record is None:
-            return []
-        started = time.process_time()
-        report = analyze(*record, prior=self.prior, L=self.L, noise=self.noise)
-        return [LiveReport(k, report, len(record[1]), time.process_time() - started)]
+    def _settle(self, k: int, report: Report) -> Report:
+        """Hysteresis, and how old the last proof is where there is none now."""
+        self._last_L = report.L
+        changes: dict[str, Finding] = {}
+        for name in PROPERTIES:
+            finding: Finding = getattr(report, name)
+            if finding.verdict is Verdict.PROVED and (name in self._standing or not finding.margin < ENTER):
+                self._proved[name] = k
+                continue
+            if finding.verdict is Verdict.PROVED:
+                reason = f"the margin of {finding.margin:.1f} dB is positive; it counts as proved from {ENTER:g} dB on"
+                changes[name] = replace(finding, verdict=Verdict.UNDECIDED, reason=reason)
+            if finding.verdict in (Verdict.UNDECIDED, Verdict.PROVED) and name in self._proved:
+                now = changes.get(name, finding)
+                ago = f"{now.reason}; last proved at k = {self._proved[name]}, {k - self._proved[name]} samples ago"
+                changes[name] = replace(now, reason=ago)
+        report = replace(report, **changes) if changes else report  # type: ignore[arg-type]
+        self._standing = {name for name in PROPERTIES if getattr(report, name).verdict is Verdict.PROVED}
+        return report
+
+
+def _forget(inputs: dict[int, Array], oldest: int) -> None:
+    """Drops the inputs before the window; they are in order but for late ones."""
+    for k in list(_head(inputs, oldest)):
+        del inputs[k]
+
+
+def _head(inputs: dict[int, Array], oldest: int) -> Iterable[int]:
+    for k in inputs:
+        if k >= oldest:
+            return
+        yield k
+
+
+assert set(PROPERTIES) <= {field.name for field in fields(Report)}

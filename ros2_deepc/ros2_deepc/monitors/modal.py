@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg as sla
+from numpy.typing import NDArray
 
 from .compress import Array
 from .pencil import Complex, Pencil
@@ -51,19 +52,29 @@ class Modal:
             return (self.residual + 2 * eps * self.d1.size) / self.size
 
 
+def eigenvalues(pencil: Pencil) -> Complex:
+    """Roots of det(X1 - lambda X0) alone, shape (q,); inf where X0 is singular."""
+    return _ratio(sla.eigvals(pencil.X1, pencil.X0, homogeneous_eigvals=True, check_finite=False))
+
+
+def _ratio(w: NDArray[np.complexfloating]) -> Complex:
+    """Homogeneous eigenvalues (2, q) as numbers."""
+    finite = abs(w[1]) > 0
+    return np.where(finite, w[0] / np.where(finite, w[1], 1), np.inf).astype(np.complex128)
+
+
 def modal(pencil: Pencil) -> Modal:
     """Diagonalises the autonomous part as well as it can be."""
     w, V = sla.eig(pencil.X1, pencil.X0, homogeneous_eigvals=True, check_finite=False)
     V = V / np.linalg.norm(V, axis=0)
-    finite = abs(w[1]) > 0
-    eigenvalues = np.where(finite, w[0] / np.where(finite, w[1], 1), np.inf).astype(np.complex128)
+    roots = _ratio(w)
     try:
         W = np.linalg.inv((pencil.X1 - _REGULAR * pencil.X0) @ V)  # multiple modes spoil left eigenvectors, not this
     except np.linalg.LinAlgError:
         nothing = np.zeros(pencil.q, dtype=np.complex128)
-        return Modal(eigenvalues, nothing, nothing, np.inf)
+        return Modal(roots, nothing, nothing, np.inf)
     W = W / np.linalg.norm(W, axis=1, keepdims=True)
     W1, W0 = W @ pencil.X1 @ V, W @ pencil.X0 @ V
     d1, d0 = np.diag(W1).copy(), np.diag(W0).copy()
     residual = float(np.linalg.norm(W1 - np.diag(d1)) + np.linalg.norm(W0 - np.diag(d0)))
-    return Modal(eigenvalues, d1, d0, residual)
+    return Modal(roots, d1, d0, residual)

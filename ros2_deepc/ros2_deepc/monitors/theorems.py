@@ -113,7 +113,7 @@ def threshold(data: Compression, q: int, eps_noise: float) -> float:
     """Bound of noise and rounding together, when no more than q directions are expected."""
     eps = eps_noise + data.floor
     beyond = float(data.sigma[q]) if q < data.sigma.size else 0.0
-    return 10 * beyond if eps_noise == 0 and eps < beyond <= GRACE * eps else eps
+    return max(eps, 10 * beyond) if eps_noise == 0 and beyond <= GRACE * eps else eps
 
 
 def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW) -> Outcome:
