@@ -34,7 +34,7 @@ class ModbusField:
     """
 
     def __init__(self, device: Device, host: str, port: int, kind: str, period: float) -> None:
-        self._device, self._kind, self._period = device, kind, period
+        self.device, self._kind, self._period = device, kind, period
         m, p, size = len(device.safe), len(device.y), codec.size(kind)
         self.registers = Registers(holding=FIRST_INPUT + m * size, inputs=FIRST_OUTPUT + p * size)
         self._server = ModbusServer(self.registers, host, port)
@@ -56,6 +56,6 @@ class ModbusField:
     async def _scan(self, now: float) -> None:
         holding, inputs = self.registers.tables["holding"], self.registers.tables["input"]
         u = codec.decode(holding[FIRST_INPUT:], self._kind)
-        self._device.scan(u, int(holding[0]), now)
-        inputs[FIRST_OUTPUT:] = codec.encode(self._device.y, self._kind)
-        inputs[:FIRST_OUTPUT] = self._device.count, self._device.echo
+        self.device.scan(u, int(holding[0]), now)
+        inputs[FIRST_OUTPUT:] = codec.encode(self.device.y, self._kind)
+        inputs[:FIRST_OUTPUT] = self.device.count, self.device.echo
