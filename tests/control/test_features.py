@@ -296,6 +296,20 @@ def test_from_outside_the_box_there_is_still_a_plan(solver, plant_form, loop):
     assert np.abs(np.diff(result.u_plan, axis=0)).max() < 0.1 + 1e-4
 
 
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_hard_end_out_of_reach_of_the_rate_limit_is_reported_and_planned_softly(solver, plant_form, loop):
+    """(6.1c) wants the inputs at zero after eight moves; 0.05 a sample does not get there from one."""
+    run = loop(plant_form(12), DeepcSettings(**BASE, terminal="hard", du_max=0.05, solver=solver), 12).collect()
+    run.apply([1.0, -1.0, 1.0])
+    run.sense()
+    result = run.step([0.0, 0.0])
+    assert result.status.solved
+    assert not result.feasible
+    assert np.isinf(result.violation).all()
+    assert "(6.1c) cannot hold" in result.reason
+    assert np.abs(np.diff(result.u_plan, axis=0)).max() < 0.05 + 1e-4
+
+
 def test_the_second_solver_answers_where_the_first_gives_up(plant_form, loop):
     """Output limits at a price of 1e5 wear OSQP out on this plant; the answers are the exact ones all the same."""
     how = {**BASE, "R": 1e-3, "terminal": "none", "y_max": [0.5, 0.2], "y_min": [-0.5, 0.0], "slack_weight": 1e5}

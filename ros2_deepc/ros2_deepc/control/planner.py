@@ -118,7 +118,7 @@ class Planner:
         self._main = _Branch(Template(sized, size, last_input, base.terminal), base.solver)
         self._relaxed: _Branch | None = None
         if base.terminal == "hard":
-            self._relaxed = _Branch(Template(sized, size, last_input, base.terminal, relaxed=True), base.solver)
+            self._relaxed = _Branch(Template(sized, size, last_input, "soft"), base.solver)
         self._tests: list[_Reach] = []
         self._nothing = np.zeros(sized.p)
 
@@ -129,11 +129,12 @@ class Planner:
 
     def load(self, predictor: Predictor) -> None:
         """Takes a new predictor; everything that does not need the newest sample is worked out here."""
-        self._main.load(predictor)
+        program = self._main.load(predictor)
         if self._relaxed is not None:
-            program, p = self._relaxed.load(predictor), self._sized.p
+            self._relaxed.load(predictor)
+            p = self._sized.p
             every = [np.arange(p)] + [np.array([i]) for i in range(p)]
-            self._tests = [_Reach(program, self._sized, outputs) for outputs in every]
+            self._tests = [_Reach(self._main.template, program, outputs) for outputs in every]
 
     def plan(self, w: Array, r: Array) -> tuple[Plan | None, str]:
         """Plans from w = [known inputs; disturbances; past outputs] towards the reference trajectory r, shape (pL,).
@@ -173,25 +174,27 @@ class _Reach:
     """Smallest t with |y - y_ref| <= t over the terminal steps, for some of the outputs, inputs within their limits.
 
     Args:
-        program: the relaxed program, for its maps and its limits.
-        sized: settings.
+        template: input limits of "hard".
+        program: maps of "hard".
         outputs: which outputs, indices.
     """
 
     RIDGE = 1e-9
 
-    def __init__(self, program: Condensed, sized: Sized, outputs: Array) -> None:
+    def __init__(self, template: Template, program: Condensed, outputs: Array) -> None:
+        sized, self._template = template.sized, template
         p, L, n = sized.p, sized.base.L, program.inputs.shape[1]
         steps = np.arange(L - sized.base.tail, L)
         part = (steps[:, None] * p + outputs[sized.mask[outputs] > 0]).ravel()
         C, D, E = program.outputs[part], program.outputs_w[part], -np.eye(p * L)[part]
-        one, none = np.ones((part.size, 1)), np.zeros((program.A.shape[0], 1))
-        A = np.vstack([np.hstack([program.A, none]), np.hstack([C, one]), np.hstack([C, -one])])
-        self._A_w = np.vstack([program.A_w, D, D])
-        self._A_goal = np.vstack([program.A_goal, E, E])
+        limits, limits_w, limits_goal, low, high = template.rows.stacked()
+        one, none = np.ones((part.size, 1)), np.zeros((limits.shape[0], 1))
+        A = np.vstack([np.hstack([limits, none]), np.hstack([C, one]), np.hstack([C, -one])])
+        self._A_w = np.vstack([limits_w, D, D])
+        self._A_goal = np.vstack([limits_goal, E, E])
         far, zero = np.full(part.size, np.inf), np.zeros(part.size)
-        self._lower = np.concatenate([program.lower[:n], [0.0], program.lower[n:], zero, -far])
-        self._upper = np.concatenate([program.upper[:n], [np.inf], program.upper[n:], far, zero])
+        self._lower = np.concatenate([template.lower, [0.0], low, zero, -far])
+        self._upper = np.concatenate([template.upper, [np.inf], high, far, zero])
         self._n = n + 1
         self._solver = Daqp()
         H = np.diag(np.append(np.full(n, self.RIDGE), 1.0))
@@ -199,6 +202,6 @@ class _Reach:
 
     def smallest(self, w: Array, r: Array) -> float:
         """The smallest t; infinity if the limits themselves cannot be met."""
-        move = np.concatenate([np.zeros(self._n), self._A_w @ w + self._A_goal @ r])
+        move = np.concatenate([np.zeros(self._n), self._template.from_here(w, self._A_w) + self._A_goal @ r])
         answer = self._solver.solve(np.zeros(self._n), self._lower - move, self._upper - move)
         return float(answer.x[-1]) if answer.solved else np.inf

@@ -67,14 +67,12 @@ class Template:
         known: size of w.
         last_input: where w holds the last input before the plan.
         terminal: terminal condition.
-        relaxed: for "hard": y = y_ref at the end becomes a penalty, u = 0 stays.
     """
 
-    def __init__(self, sized: Sized, known: int, last_input: slice, terminal: Terminal, relaxed: bool = False) -> None:
+    def __init__(self, sized: Sized, known: int, last_input: slice, terminal: Terminal) -> None:
         m, p, L = sized.m, sized.p, sized.base.L
         self.sized, self.known, self.terminal = sized, known, terminal
         self._last_input = last_input
-        self.penalised = relaxed or terminal == "soft"
         self.block = move_blocking(sized, terminal)
         self.free = self.block.shape[1]
         self.limited = bool(np.isfinite(sized.y_min).any() or np.isfinite(sized.y_max).any())
@@ -94,7 +92,7 @@ class Template:
             self.cost.add(moves, moves_w, sized.R)
         else:
             self.cost.add(self.inputs, None, sized.R)
-        if self.penalised:
+        if terminal == "soft":
             self.cost.add(self.inputs[-m * sized.base.tail :], None, sized.base.terminal_weight * sized.R)
         self.rows = _Rows(n, known, p * L)
         self.slow = bool(np.isfinite(sized.du_max).any())
@@ -131,7 +129,7 @@ def condense(template: Template, predictor: Predictor) -> Condensed:
         _equilibrium_cost(cost, sized, outputs, predictor.F, weight)
     else:
         cost.f_goal -= cost.add(outputs, predictor.F, weight).T
-    if template.penalised:
+    if template.terminal == "soft":
         part = slice(-sized.p * sized.base.tail, None)
         weighted = cost.add(outputs[part], predictor.F[part], sized.base.terminal_weight * masked(sized))
         cost.f_goal[:, part] -= weighted.T
