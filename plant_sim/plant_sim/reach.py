@@ -50,8 +50,8 @@ class Reach:
 
     @property
     def clear(self) -> bool:
-        """Whether what is lost is lost to rounding, and what is kept is kept by a hundred times that."""
-        return self.residual <= 10 * self.floor and self.kept > 100 * self.floor
+        """Whether rounding is small, what is lost lost to rounding, and what is kept kept by a hundred times that."""
+        return self.floor < 1e-7 and self.residual <= 10 * self.floor and self.kept > 100 * self.floor
 
 
 def _weakest_at(A: Array, B: Array, z: complex) -> tuple[float, Array]:
