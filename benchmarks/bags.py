@@ -182,6 +182,9 @@ def bench_record(folder: Path, seconds: float = 60.0) -> Iterator[str]:
         [sys.executable, "-c", PUBLISH, str(count)], env=env, stdout=subprocess.PIPE, text=True
     )
     time.sleep(min(10.0, seconds / 2))
+    if recorder.poll() is not None:
+        publisher.kill()
+        raise SystemExit("the recorder node ended by itself")
     early = resident(recorder.pid)
     took = float(publisher.communicate()[0])
     late = resident(recorder.pid)
