@@ -81,7 +81,7 @@ def decode(registers: Registers, kind: str, order: str = "ABCD") -> NDArray[np.f
 
 
 def encode(values: Iterable[float], kind: str, order: str = "ABCD") -> list[int]:
-    """Registers of numbers; whole types round to the nearest.
+    """Registers of numbers; whole types round to the nearest, the others have NaN and infinities, too.
 
     Raises:
         ValueError: for a number that the type cannot hold.
@@ -89,8 +89,11 @@ def encode(values: Iterable[float], kind: str, order: str = "ABCD") -> list[int]
     given = np.asarray(list(values), dtype=np.float64)
     low, high = bounds(kind)
     rounded = np.rint(given) if whole(kind) else given
-    if not np.all((rounded >= low) & (rounded <= high)):
-        raise ValueError(f"{given[~((rounded >= low) & (rounded <= high))][0]} does not fit {kind}")
+    fits = (rounded >= low) & (rounded <= high)
+    if not whole(kind):
+        fits |= ~np.isfinite(rounded)
+    if not fits.all():
+        raise ValueError(f"{given[~fits][0]} does not fit {kind}")
     words = rounded.astype(TYPES[kind]).view(">u2").astype(np.uint16).reshape(len(given), -1)
     return [int(word) for word in _as_sent(words, order).ravel()]
 
