@@ -47,17 +47,17 @@ def closed_loop(make):
     agent.references.set(50, [0.3, 0.2])
     x, u = np.array([1.0, -1.0]), agent.start()[0]
     messages.append(("inputs", make.sample(0, u)))
-    reports = live.input(0, u)
+    jobs = live.input(0, u)
     for k in range(K):
         messages.append(("outputs", make.sample(k, x)))
-        reports = reports + live.output(k, x)
+        jobs = jobs + live.output(k, x)
         decision = agent.step(k, x)
         state = state_message(agent, decision)
         agent.prepare()
         messages += [("inputs", make.sample(k + 1, decision.u)), ("controller/state", state)]
-        messages += [("monitor/report", report_message(report)) for report in reports]
+        messages += [("monitor/report", report_message(report)) for report in map(live.analyse, jobs)]
         x, u = A @ x + B @ u, decision.u
-        reports = live.input(k + 1, u)
+        jobs = live.input(k + 1, u)
     return messages
 
 

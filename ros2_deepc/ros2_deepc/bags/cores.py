@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ros2_deepc.control.agent import Agent, Decision
-from ros2_deepc.monitors.live import LiveMonitor, LiveReport
+from ros2_deepc.monitors.live import Job, LiveMonitor, LiveReport
 
 from .replay import Answer
 
@@ -75,8 +75,8 @@ class MonitorCore:
         """Takes outputs k."""
         return self._answers(self._live.output(k, values, held))
 
-    def _answers(self, reports: list[LiveReport]) -> list[Answer]:
-        return [("monitor/report", live.k, self._message(live)) for live in reports]
+    def _answers(self, jobs: list[Job]) -> list[Answer]:
+        return [("monitor/report", job.k, self._message(self._live.analyse(job))) for job in jobs]
 
 
 def _inputs(k: int, u: Array) -> Answer:

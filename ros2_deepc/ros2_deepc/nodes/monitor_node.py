@@ -4,19 +4,22 @@
 """The monitor: verdicts on the live data, published and logged."""
 
 import math
+import time
 from collections import deque
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from deepc_msgs.msg import Indicator as IndicatorMsg
 from deepc_msgs.msg import MonitorReport, PlantInfo, Sample
 from deepc_msgs.msg import Verdict as VerdictMsg
 from rclpy.serialization import serialize_message
 
 from ..bags.writer import BagWriter
 from ..monitors import Finding, Prior, Report, Verdict
-from ..monitors.live import LiveMonitor, LiveReport
+from ..monitors.live import PROPERTIES, Job, LiveMonitor, LiveReport
 from ..ros import topics
 from ..ros.convert import nanoseconds, refusal
 from ..ros.diagnostics import OK, WARN, Diagnostics
@@ -28,14 +31,15 @@ PARAMETERS = (
     Param("window", 300, "outputs in the window of the tests", "samples", low=1, high=1_000_000),
     Param("period", 10, "outputs between two reports", "samples", low=1, high=1_000_000),
     Param("L", 0, "block rows of the tests; 0 = chosen by the analysis", low=0, high=1000),
-    Param("noise", 0.0, "bound of the measurement noise on every output; 0 = exact data", "output units", low=0.0),
+    Param("noise", [0.0], "standard deviation of the output noise, one for all or shape (p,)", "output units", low=0.0),
+    Param("estimate_noise", False, "estimate the noise from the data instead; verdicts then say so"),
+    Param("indicator", True, "publish the margins at the modes of the data with every sample"),
+    Param("worker", False, "analyse in a thread, off the way of the samples; reports then come when they are done"),
     Param("q", 0, "prior: upper bound of the slow order; 0 = what the plant says", low=0),
     Param("s", 0, "prior: upper bound of the nilpotency index; 0 = what the plant says", low=0),
     Param("log", "", "folder of an MCAP log of the reports; empty = none"),
     Param("readers", 0, "lockstep only: subscribers of the report to wait for before publishing", low=0),
 )
-
-PROPERTIES = ("r_controllability", "c_controllability", "r_observability", "c_observability")
 
 
 def make_live(parameters: Mapping[str, Any], info: PlantInfo) -> LiveMonitor:
@@ -43,9 +47,13 @@ def make_live(parameters: Mapping[str, Any], info: PlantInfo) -> LiveMonitor:
     given = {row.name: row.default for row in PARAMETERS} | dict(parameters)
     D = np.reshape(info.d, (len(info.output_names), len(info.input_names))) if info.d_known else None
     prior = Prior(q=given["q"] or int(info.q), s=given["s"] or max(int(info.s), 1), n=int(info.n), D=D)
-    return LiveMonitor(
-        prior, window=given["window"], period=given["period"], noise=given["noise"], L=given["L"] or None
-    )
+    return LiveMonitor(prior, window=given["window"], period=given["period"], noise=_noise(given), L=given["L"] or None)
+
+
+def _noise(given: Mapping[str, Any]) -> Any:
+    if given["estimate_noise"]:
+        return None
+    return given["noise"][0] if len(given["noise"]) == 1 else given["noise"]
 
 
 class MonitorNode(ManagedNode):
@@ -72,6 +80,11 @@ class MonitorNode(ManagedNode):
         self._report = self.advertise(topics.REPORT, readers=self.p["readers"])
         self._diagnostics = Diagnostics(self, "")
         self.resources.callback(self._diagnostics.destroy)
+        self._indicator = self.advertise(topics.INDICATOR) if self.p["indicator"] else None
+        self._worker = ThreadPoolExecutor(1, "monitor") if self.p["worker"] else None
+        self._busy: Future[None] | None = None
+        if self._worker is not None:
+            self.resources.callback(self._worker.shutdown)
         if self.p["log"]:
             self._log = BagWriter(Path(self.p["log"]))
             self._log_topic = self.resolve_topic_name(topics.REPORT.name)
@@ -97,13 +110,15 @@ class MonitorNode(ManagedNode):
     def _on_inputs(self, msg: Sample) -> None:
         if self._accepts(msg, len(self._info.input_names)):
             assert self._live is not None
-            self._publish(self._live.input(int(msg.k), msg.values))
+            self._analyse(self._live.input(int(msg.k), msg.values))
 
     def _on_outputs(self, msg: Sample) -> None:
         if self._accepts(msg, len(self._info.output_names)):
             assert self._live is not None
             self._stamps.append((int(msg.k), msg.header.stamp))
-            self._publish(self._live.output(int(msg.k), msg.values, int(msg.held)))
+            self._analyse(self._live.output(int(msg.k), msg.values, int(msg.held)))
+            if self._indicator is not None:
+                self._indicate(msg)
 
     def _accepts(self, msg: Sample, size: int) -> bool:
         reason = refusal(msg, size)
@@ -114,14 +129,34 @@ class MonitorNode(ManagedNode):
             self.get_logger().warning(f"sample {msg.k} refused: {reason}", throttle_duration_sec=5.0)
         return not reason
 
-    def _publish(self, reports: list[LiveReport]) -> None:
-        for live in reports:
-            msg = self._message(live)
-            self._report.publish(msg)
-            if self._log is not None:
-                time = nanoseconds(msg.header.stamp)
-                self._log.write(self._log_topic, serialize_message(msg), time, time)
-            self._note_changes(live.report)
+    def _analyse(self, jobs: list[Job]) -> None:
+        live = self._live
+        assert live is not None
+        for job in jobs:
+            if self._worker is None:
+                self._publish(live.analyse(job))
+            elif self._busy is None or self._busy.done():  # one at a time; the next period brings newer data
+                self._busy = self._worker.submit(lambda job=job: self._publish(live.analyse(job)))
+
+    def _publish(self, live: LiveReport) -> None:
+        msg = self._message(live)
+        self._report.publish(msg)
+        if self._log is not None:
+            stamp = nanoseconds(msg.header.stamp)
+            self._log.write(self._log_topic, serialize_message(msg), stamp, stamp)
+        self._note_changes(live.report)
+
+    def _indicate(self, outputs: Sample) -> None:
+        assert self._live is not None
+        started = time.process_time()
+        seen = self._live.indicator()
+        if seen is None:
+            return
+        msg = IndicatorMsg(header=outputs.header, epoch=outputs.epoch, k=outputs.k)
+        msg.r_controllability, msg.r_observability = float(seen.controllability), float(seen.observability)
+        msg.lambda_star_re, msg.lambda_star_im = float(seen.lambda_star.real), float(seen.lambda_star.imag)
+        msg.compute_time = time.process_time() - started
+        self._indicator.publish(msg)
 
     def _message(self, live: LiveReport) -> MonitorReport:
         msg = report_message(live)

@@ -9,7 +9,7 @@ All names are relative, so that one namespace holds one plant or zone (for examp
 from dataclasses import dataclass
 from typing import Any
 
-from deepc_msgs.msg import ControllerState, MonitorReport, PlantInfo, Sample
+from deepc_msgs.msg import ControllerState, Indicator, MonitorReport, PlantInfo, Sample
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
 
@@ -45,7 +45,8 @@ INPUTS = Topic("inputs", Sample, "controller -> plant, monitor, recorder")
 REFERENCE = Topic("reference", Sample, "operator -> controller", latched=True, depth=100)  # a whole schedule
 STATE = Topic("controller/state", ControllerState, "controller -> all")
 REPORT = Topic("monitor/report", MonitorReport, "monitor -> all", latched=True)
+INDICATOR = Topic("monitor/indicator", Indicator, "monitor -> all")
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, "all -> all")
 CLOCK = Topic("/clock", Clock, "plant -> all, in lockstep", depth=1)
 
-ALL = (PLANT_INFO, OUTPUTS, INPUTS, REFERENCE, STATE, REPORT, DIAGNOSTICS, CLOCK)
+ALL = (PLANT_INFO, OUTPUTS, INPUTS, REFERENCE, STATE, REPORT, INDICATOR, DIAGNOSTICS, CLOCK)
