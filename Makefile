@@ -4,7 +4,7 @@
 # make demo [PLANT=net3] [ARGS="--seed 3"]   control a plant end to end
 # make test                                  all tests
 # make check                                 lint, types, architecture, spelling
-# make bench                                 benchmarks
+# make bench [BENCH="loop_rate plants"]      benchmarks (the others in benchmarks/ take longer)
 # make colcon                                build the three packages with colcon
 #
 # Each sets up .venv by itself, once. Another interpreter: make PYTHON=python3.12 ...
@@ -12,6 +12,7 @@
 PYTHON ?= python3
 PLANT ?= wscc9
 ARGS ?=
+BENCH ?= loop_rate sliding monitors deepc
 VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := pyproject.toml $(wildcard msgs/*/* msgs/*.* packaging/* launch_scripts/*.py launch_scripts/config/*)
@@ -37,8 +38,8 @@ check: $(VENV)/.ready-check
 	$(BIN)/lint-imports
 	$(BIN)/codespell
 
-bench: $(VENV)/.ready-test
-	set -e; for file in benchmarks/[a-z]*.py; do $(BIN)/python $$file; done
+bench: $(VENV)/.ready-bench
+	set -e; for name in $(BENCH); do echo "== $$name"; $(BIN)/python benchmarks/$$name.py $(ARGS); done
 
 colcon:
 	sh packaging/colcon.sh $(PYTHON)

@@ -11,7 +11,7 @@ setup(
     name="ros2_deepc",
     version="0.1.0",
     packages=find_packages(),
-    package_data={"ros2_deepc": ["py.typed"]},
+    package_data={"ros2_deepc": ["py.typed", "bags/*.js", "bags/*.css"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ros2_deepc"]),
         ("share/ros2_deepc", ["package.xml"]),

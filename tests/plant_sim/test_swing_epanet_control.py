@@ -164,5 +164,5 @@ def test_the_monitors_name_the_mode_that_transfers_cannot_move(probed, noise):
 
 
 def test_an_input_at_each_machine_is_proved_where_the_noise_allows(probed):
-    u, y, std = probed("machines", 1e-4)
+    u, y, std = probed("machines", 3e-5)
     assert analyze(u, y, prior=Prior(q=6, s=1), noise=std).r_controllability.verdict is Verdict.PROVED

@@ -28,9 +28,7 @@ def tune(
     bag: Annotated[Path, typer.Argument(help="Folder of the bag, or one .mcap file.")],
     N: Annotated[list[int] | None, typer.Option("-N", help="Candidate for the past samples; repeatable.")] = None,
     L: Annotated[list[int] | None, typer.Option("-L", help="Candidate for the horizon; repeatable.")] = None,
-    q: Annotated[
-        list[int] | None, typer.Option("-q", help="Candidate for the order, 0 = all; repeatable.")
-    ] = None,
+    q: Annotated[list[int] | None, typer.Option("-q", help="Candidate for the order, 0 = all; repeatable.")] = None,
     T: Annotated[list[int] | None, typer.Option("-T", help="Candidate for the window, 0 = least; repeatable.")] = None,
     folds: Annotated[int, typer.Option(help="Held-out stretches.", min=1)] = 4,
     jobs: Annotated[int, typer.Option(help="Processes (more than one needs joblib).", min=1)] = 1,

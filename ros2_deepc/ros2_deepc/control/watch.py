@@ -19,8 +19,8 @@ class Bounds:
     Attributes:
         trip_min: lowest output that is still trusted to the controller, one for all or one an output.
         trip_max: highest one.
-        trip_error: largest median prediction error over ``trip_window`` samples, relative to what "nothing changes" would
-            have got wrong on the data; 1 = the predictor is no better than that. A disturbance from outside is a
+        trip_error: largest median prediction error over ``trip_window`` samples, relative to what "nothing changes"
+            would have got wrong on the data; 1 = the predictor is no better than that. A disturbance from outside is a
             surprise for a few samples only, and leaves the median alone.
         trip_window: samples of that median.
 

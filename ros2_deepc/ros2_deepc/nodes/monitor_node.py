@@ -15,8 +15,8 @@ import numpy as np
 from deepc_msgs.msg import Indicator as IndicatorMsg
 from deepc_msgs.msg import MonitorReport, PlantInfo, Sample
 from deepc_msgs.msg import Verdict as VerdictMsg
-from rclpy.serialization import serialize_message
 
+from ..bags.convert import to_cdr
 from ..bags.writer import BagWriter
 from ..monitors import Finding, Prior, Report, Verdict
 from ..monitors.live import PROPERTIES, Job, LiveMonitor, LiveReport
@@ -143,7 +143,7 @@ class MonitorNode(ManagedNode):
         self._report.publish(msg)
         if self._log is not None:
             stamp = nanoseconds(msg.header.stamp)
-            self._log.write(self._log_topic, serialize_message(msg), stamp, stamp)
+            self._log.write(self._log_topic, to_cdr(msg), stamp, stamp)
         self._note_changes(live.report)
 
     def _indicate(self, outputs: Sample) -> None:
