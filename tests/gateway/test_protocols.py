@@ -4,12 +4,13 @@
 """Links against servers: what is read and written, what is refused, what happens to garbage."""
 
 import asyncio
-import os
+import socket
+import time
 
 import numpy as np
 import pytest
 
-from ros2_deepc.gateway import LinkError, loads
+from ros2_deepc.gateway import GatewayError, LinkError, loads
 from ros2_deepc.gateway.field import Device, find_plant
 from ros2_deepc.gateway.field_tags import modbus_places, tag_map
 from ros2_deepc.gateway.link import make_link
@@ -140,140 +141,166 @@ class TestModbus:
             asyncio.run(link.connect())
 
 
-class TestOpcua:
-    @pytest.fixture
-    def served(self, plant, free_port, tmp_path, monkeypatch):
-        """As for Modbus; both sides trust each other's certificates unless told otherwise."""
-        pytest.importorskip("asyncua")
+class Opcua:
+    """One server for all tests here, in a thread of its own, since it takes seconds to start.
+
+    Attributes:
+        text: a tag map for the user controller.
+        counts: what the server refused so far.
+    """
+
+    def __init__(self, folder, port):
         from ros2_deepc.gateway.field_opcua import URI, OpcuaField, opcua_places, writable
+        from ros2_deepc.gateway.loop_thread import LoopThread
         from ros2_deepc.gateway.opcua_link import URI as CLIENT
         from ros2_deepc.gateway.opcua_pki import Pki
         from ros2_deepc.gateway.opcua_server import Access
 
-        monkeypatch.setenv("PASSWORD", "secret")
-        url = f"opc.tcp://127.0.0.1:{free_port()}"
-        link = f"{{kind: opcua, url: '{url}', user: controller, password_env: PASSWORD, timeout: 2}}"
-        text = tag_map(plant, link, opcua_places(plant), registered="wscc9", options={}, speed=10.0)
-        server, client = Pki(tmp_path / "field", URI), Pki(tmp_path / "pki", CLIENT)
+        plant, url = find_plant("wscc9", {}), f"opc.tcp://127.0.0.1:{port}"
+        link = f"{{kind: opcua, url: '{url}', user: controller, password_env: PASSWORD, timeout: 5}}"
+        self.text = tag_map(plant, link, opcua_places(plant), registered="wscc9", options={}, speed=5.0)
+        self.folder = folder
+        self.ours, self.theirs = Pki(folder / "pki", CLIENT), Pki(folder / "field", URI)
+        self.ours.trust(self.theirs.certificate)
         access = Access(
             users={"controller": "secret", "viewer": "look"},
-            writes={"controller": writable(plant)}, pki=tmp_path / "field",
+            writes={"controller": writable(plant)}, pki=folder / "field",
         )  # fmt: skip
+        self.device = Device(plant, watchdog=1e9)
+        self.field = OpcuaField(self.device, url, access, 0.02)
+        self.counts = self.field.server.refused
+        self.thread = LoopThread(print)
+        self.thread.start(self.field.run())
+        end = time.monotonic() + 60
+        while self.device.count < 3:
+            assert time.monotonic() < end
+            time.sleep(0.01)
 
-        def run(use, change=lambda t: t, trust=True):
-            if trust:
-                server.trust(client.certificate)
-            client.trust(server.certificate)
+    def trusted(self, yes):
+        for path in (self.folder / "field" / "trusted").glob("*.der"):
+            path.unlink()
+        if yes:
+            self.theirs.trust(self.ours.certificate)
 
-            async def both():
-                device = Device(plant)
-                field = OpcuaField(device, url, access, 0.02)
-                running = asyncio.create_task(field.run())
-                while field.server._server is None:
-                    await asyncio.sleep(0.02)
-                made = make_link(loads(change(text), str(tmp_path / "tags.yaml")))
-                try:
-                    return await use(made, device, field)
-                finally:
-                    await made.close()
-                    running.cancel()
-                    await running
-                    await asyncio.sleep(0.05)
+    def use(self, play, change=lambda t: t):
+        """Runs a coroutine function with a link."""
 
-            return asyncio.run(both())
+        async def whole():
+            link = make_link(loads(change(self.text), str(self.folder / "tags.yaml")))
+            try:
+                return await play(link)
+            finally:
+                await link.close()
+                await asyncio.sleep(0.02)
 
-        return run
+        return asyncio.run(whole())
 
-    def test_reads_and_writes_encrypted(self, served):
-        async def use(link, device, field):
+
+@pytest.fixture(scope="module")
+def opcua_server(tmp_path_factory):
+    pytest.importorskip("asyncua")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    server = Opcua(tmp_path_factory.mktemp("opcua"), port)
+    yield server
+    server.thread.stop()
+
+
+@pytest.fixture
+def opcua(opcua_server, monkeypatch):
+    """The server, trusting the client, with the right password at hand."""
+    monkeypatch.setenv("PASSWORD", "secret")
+    opcua_server.trusted(True)
+    return opcua_server
+
+
+USER = "user: controller, password_env: PASSWORD"
+WANTED = np.array([0.25, -0.5, 0.75, 9.0])
+
+
+async def connects(link):
+    await link.connect()
+
+
+async def writes(link):
+    await link.connect()
+    with pytest.raises(LinkError, match="BadUserAccessDenied"):
+        await link.write(WANTED)
+
+
+class TestOpcua:
+    def test_nothing_that_is_refused_reaches_the_field(self, opcua, monkeypatch):
+        """Wrong password, nobody, no encryption, a viewer, a node off the list, a certificate that nobody trusts."""
+        before = opcua.device.echo
+        monkeypatch.setenv("PASSWORD", "guess")
+        with pytest.raises(LinkError, match=r"BadUserAccessDenied|BadIdentityTokenRejected"):
+            opcua.use(connects)
+        assert opcua.counts["user"] > 0
+        with pytest.raises(LinkError, match=r"Bad|[Ii]dentity|token|policy"):
+            opcua.use(connects, lambda t: t.replace(f", {USER}", ""))
+        with pytest.raises(LinkError):
+            opcua.use(
+                connects,
+                lambda t: t.replace("user: controller, password_env: PASSWORD", "allow_insecure_loopback: true"),
+            )
+        monkeypatch.setenv("PASSWORD", "look")
+        opcua.use(writes, lambda t: t.replace("user: controller", "user: viewer"))
+        monkeypatch.setenv("PASSWORD", "secret")
+        opcua.use(writes, lambda t: t.replace("s=in/P12", "s=out/x1"))
+        assert opcua.counts["node"] == 2
+        opcua.trusted(False)
+        with pytest.raises(LinkError, match="Bad"):
+            opcua.use(connects)
+        assert opcua.counts["certificate"] > 0
+        assert len(list((opcua.folder / "field" / "rejected").glob("*.der"))) == 1
+        assert opcua.device.echo == before
+
+    def test_reads_and_writes_encrypted(self, opcua):
+        async def play(link):
             await link.connect()
-            await link.write(np.array([0.25, -0.5, 0.75, 9.0]))
-            await asyncio.sleep(0.1)
-            scan = await link.read()
+            await link.write(WANTED)
+            end = time.monotonic() + 20
+            while opcua.device.echo != 9 and time.monotonic() < end:
+                await asyncio.sleep(0.01)
+            await asyncio.sleep(0.05)
             assert link._client.security_policy.URI.endswith("Basic256Sha256")
-            return scan, device, field.server.refused
+            return await link.read()
 
-        scan, device, refused = served(use)
-        np.testing.assert_array_equal(device.u, [0.25, -0.5, 0.75])
+        scan = opcua.use(play)
+        np.testing.assert_array_equal(opcua.device.u, WANTED[:3])
         assert scan.raw[3] == 9.0
         assert (scan.source_ns > 1.7e18).all()
-        assert refused == {"user": 0, "certificate": 0, "node": 0}
 
-    def refused(self, served, change=lambda t: t, *, match, trust=True, write=False):
-        async def use(link, device, field):
-            if write:
-                await link.connect()
-            with pytest.raises(LinkError, match=match):
-                await (link.write(np.array([0.25, -0.5, 0.75, 9.0])) if write else link.connect())
-            return device, field.server.refused
-
-        device, counts = served(use, change, trust)
-        assert device.local
-        assert device.echo == 0
-        return counts
-
-    def test_a_wrong_password_is_refused(self, served, monkeypatch):
-        monkeypatch.setitem(os.environ, "PASSWORD", "guess")
-        assert self.refused(served, match="BadUserAccessDenied|BadIdentityTokenRejected")["user"] > 0
-
-    def test_nobody_is_refused(self, served):
-        def anonymous(text):
-            return text.replace(", user: controller, password_env: PASSWORD", "")
-
-        self.refused(served, anonymous, match="Bad|[Ii]dentity|token|policy")
-
-    def test_a_viewer_may_not_write(self, served, monkeypatch):
-        monkeypatch.setitem(os.environ, "PASSWORD", "look")
-        counts = self.refused(
-            served, lambda t: t.replace("user: controller", "user: viewer"), match="BadUserAccessDenied", write=True
-        )
-        assert counts["node"] == 1
-
-    def test_a_node_that_is_not_on_the_list_is_refused(self, served):
-        def forbidden(text):
-            return text.replace("s=in/P12", "s=out/x1")
-
-        assert self.refused(served, forbidden, match="BadUserAccessDenied", write=True)["node"] == 1
-
-    def test_a_certificate_that_nobody_trusts_is_refused_and_kept(self, served, tmp_path):
-        counts = self.refused(served, match="Bad", trust=False)
-        assert counts["certificate"] > 0
-        assert len(list((tmp_path / "field" / "rejected").glob("*.der"))) == 1
-
-    def test_a_server_that_is_not_trusted_gets_no_password(self, served, tmp_path):
-        async def use(link, device, field):
-            for path in (tmp_path / "pki" / "trusted").glob("*.der"):
-                path.unlink()
+    def test_a_server_that_is_not_trusted_gets_no_password(self, opcua):
+        trusted = opcua.folder / "pki" / "trusted"
+        before = dict(opcua.counts)
+        trusted.rename(opcua.folder / "elsewhere")
+        trusted.mkdir()
+        try:
             with pytest.raises(LinkError, match="not trusted"):
-                await link.connect()
-            return field.server.refused
+                opcua.use(connects)
+        finally:
+            trusted.rmdir()
+            (opcua.folder / "elsewhere").rename(trusted)
+        assert opcua.counts == before
+        assert len(list((opcua.folder / "pki" / "rejected").glob("*.der"))) == 1
 
-        assert served(use) == {"user": 0, "certificate": 0, "node": 0}
-        assert len(list((tmp_path / "pki" / "rejected").glob("*.der"))) == 1
+    def test_a_node_that_does_not_exist_is_named(self, opcua):
+        with pytest.raises(LinkError, match=r"there is no node .*out/nosuch"):
+            opcua.use(connects, lambda t: t.replace("s=out/x1", "s=out/nosuch"))
 
-    def test_without_encryption_there_is_no_way_in(self, served):
-        def plain(text):
-            return text.replace("user: controller, password_env: PASSWORD", "allow_insecure_loopback: true")
+    def test_a_password_that_is_not_set_is_said_before_anything_runs(self, opcua, monkeypatch):
+        monkeypatch.delenv("PASSWORD")
+        with pytest.raises(GatewayError, match="the environment variable PASSWORD is not set"):
+            opcua.use(connects)
 
-        self.refused(served, plain, match=".")
+    def test_status_codes_become_qualities(self):
+        ua = pytest.importorskip("asyncua").ua
+        from ros2_deepc.gateway.opcua_link import _quality
 
-    def test_a_node_that_does_not_exist_is_named(self, served):
-        async def use(link, device, field):
-            with pytest.raises(LinkError, match=r"there is no node .*out/nosuch"):
-                await link.connect()
-
-        served(use, lambda t: t.replace("s=out/x1", "s=out/nosuch"))
-
-    def test_status_codes_become_qualities(self, served):
-        async def use(link, device, field):
-            await link.connect()
-            found = []
-            for status in (0, 0x40900000, 0x80000000):
-                await field.server.put("out/x1", 1.0, status=status)
-                found.append(int((await link.read()).quality[0]))
-            return found
-
-        assert served(use) == [0, 1, 3]
+        codes = {0: 0, 0x40900000: 1, 0x80000000: 3, 0x80340000: 3}
+        assert [_quality(ua.DataValue(ua.Variant(1.0), ua.StatusCode(code))) for code in codes] == list(codes.values())
 
 
 @pytest.mark.parametrize(("kind", "package"), [("modbus", "pymodbus"), ("opcua", "asyncua")])
