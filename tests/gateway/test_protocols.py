@@ -325,3 +325,49 @@ def tag_map_of_opcua(text):
 
     text = text.replace("kind: modbus, host: 127.0.0.1, port: 5020", "kind: opcua, url: 'opc.tcp://localhost'")
     return re.sub(r"\{(table: input, )?address: (\d+)(, type: \w+)?\}", r"{node: 'ns=2;i=\2'}", text)
+
+
+def test_while_the_counter_stands_still_only_its_block_is_read(free_port):
+    pytest.importorskip("pymodbus")
+    from ros2_deepc.gateway.modbus_codec import encode
+    from ros2_deepc.gateway.modbus_server import ModbusServer, Registers
+
+    port, asked = free_port(), []
+
+    class Counted(Registers):
+        async def async_getValues(self, device_id, func_code, address, count=1):
+            asked.append(address)
+            return await super().async_getValues(device_id, func_code, address, count)
+
+    text = f"""\
+plant: {{name: big, sample_time: 0.1}}
+link: {{kind: modbus, host: 127.0.0.1, port: {port}}}
+sampling: {{by: scan, counter: {{table: input, address: 600, type: uint16}}}}
+outputs:
+  - {{name: y, unit: '', count: 300, at: {{table: input, address: 0}}}}
+inputs:
+  - {{name: u, unit: '', limits: [-1, 1], max_rate: 9, safe: 0, at: {{address: 0}}}}
+"""
+
+    async def play():
+        registers = Counted(holding=10, inputs=601)
+        server = ModbusServer(registers, "127.0.0.1", port)
+        await server.start()
+        link = make_link(loads(text))
+        await link.connect()
+        values = []
+        for count in (1, 1, 2):
+            registers.tables["input"][:600] = encode(np.arange(300.0) + count, "float32")
+            registers.tables["input"][600] = count
+            values.append(((await link.read()).raw, len(asked)))
+        await link.close()
+        await server.stop()
+        await asyncio.sleep(0.02)
+        return values
+
+    (first, n1), (second, n2), (third, n3) = asyncio.run(play())
+    np.testing.assert_array_equal(first, [*np.arange(300.0) + 1, 1])
+    np.testing.assert_array_equal(second, first)
+    np.testing.assert_array_equal(third, [*np.arange(300.0) + 2, 2])
+    assert (n2 - n1, n3 - n2) == (1, n1)
+    assert not make_link(loads(text)).atomic

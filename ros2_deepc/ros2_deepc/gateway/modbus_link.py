@@ -40,6 +40,11 @@ class ModbusLink:
         requests = codec.blocks([_span(at) for at in reads], codec.LARGEST_READ, bridge=_BRIDGE)
         self._plan = [(block, _decoders(block, reads)) for block in requests]
         self._count = len(reads)
+        self._counter = len(tags.outputs) if tags.by == "scan" else None
+        if self._counter is not None:
+            counter = _span(reads[self._counter])
+            self._plan.sort(key=lambda request: not request[0].covers(counter))
+        self._last = np.full(self._count, np.nan)
         self._client: AsyncModbusTcpClient | None = None
         self.atomic = len(self._plan) == 1
 
@@ -58,16 +63,20 @@ class ModbusLink:
             client.close()
             raise LinkError(f"{self._where}: no connection")
         self._client = client
+        self._last = np.full(self._count, np.nan)
 
     async def read(self) -> Scan:
-        """Reads every block once."""
-        raw = np.full(self._count, np.nan)
-        for block, decoders in self._plan:
+        """Reads every block once; while the scan counter stands still, only the block that holds it."""
+        raw = self._last.copy()
+        for i, (block, decoders) in enumerate(self._plan):
             registers = await self._read(block)
             for kind, order, places, words in decoders:
                 raw[places] = codec.decode(registers[words].ravel(), kind, order)
+            if i == 0 and self._counter is not None and raw[self._counter] == self._last[self._counter]:
+                break
+        self._last = raw
         good = np.where(np.isfinite(raw), Quality.GOOD, Quality.BAD).astype(np.uint8)
-        return Scan(raw=raw, quality=good, source_ns=np.zeros(self._count, dtype=np.int64))
+        return Scan(raw=raw.copy(), quality=good, source_ns=np.zeros(self._count, dtype=np.int64))
 
     async def write(self, raw: Array) -> None:
         """Writes neighbouring registers in one request."""
