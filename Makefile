@@ -49,7 +49,7 @@ clean:
 
 $(VENV)/.ready: $(SOURCES)
 	sh packaging/venv.sh $(PYTHON) $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	sh packaging/install.sh $(VENV)
 	touch $@
 
 $(VENV)/.ready-%: $(VENV)/.ready
