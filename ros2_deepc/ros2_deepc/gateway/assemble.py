@@ -104,7 +104,7 @@ class Assembler:
         self._worsen(quality, age > self._stale, Quality.STALE)
         wrong = ~np.isfinite(values) | (values < self._low) | (values > self._high)
         self._worsen(quality, wrong, Quality.BAD)
-        reason = self._reason(values, quality, age) if quality.any() else ""
+        reason = self._reason(values, quality) if quality.any() else ""
         stamp = self._stamp(source, wall_ns)
         return Vector(values=values, quality=quality, stamp_ns=stamp, age=age, reason=reason)
 
@@ -132,11 +132,18 @@ class Assembler:
     def _worsen(quality: NDArray[np.uint8], where: NDArray[np.bool_], to: Quality) -> None:
         quality[where] = np.maximum(quality[where], to)
 
-    def _reason(self, values: Array, quality: NDArray[np.uint8], age: Array) -> str:
+    def _reason(self, values: Array, quality: NDArray[np.uint8]) -> str:
+        """The worst entry, in words that stay the same while it does."""
         i = int(np.argmax(quality))
         name, what = self._names[i], Quality(int(quality[i])).name
         more = int(np.count_nonzero(quality)) - 1
         others = f" and {more} more" if more else ""
         if quality[i] == Quality.STALE:
-            return f"{name} is STALE: no news for {age[i]:.3g} s{others}"
-        return f"{name} is {what}: {values[i]:.6g} {self._units[i]}{others}"
+            why = f": no news for {self._stale[i]:g} s"
+        elif not np.isfinite(values[i]):
+            why = ": not a number"
+        elif not self._low[i] <= values[i] <= self._high[i]:
+            why = f": outside {self._low[i]:g} to {self._high[i]:g} {self._units[i]}"
+        else:
+            why = ""
+        return f"{name} is {what}{why}{others}"

@@ -122,6 +122,8 @@ class Gateway:
 
     def tick(self, now: float) -> None:
         """Looks at the time; call it at least once a period."""
+        if now - self._sampled_at > self.tags.supervision.stale_after:
+            self._good = 0
         self.supervisor.tick(now, self._trouble(now), self._steady(), self.round_trip.moved())
         self._new_epoch()
         if self.state is State.RUN:
@@ -312,14 +314,14 @@ class Gateway:
         if self._vector is None:
             return "no sample yet"
         if now - self._sampled_at > stale:
-            return f"no sample for {now - self._sampled_at:.3g} s"
+            return f"no sample for {stale:g} s"
         if not self._vector.good:
             return self._vector.reason
         if PEER in self._index and now - self._peer_at > stale:
-            return f"no sign of life from the field for {now - self._peer_at:.3g} s"
+            return f"no sign of life from the field for {stale:g} s"
         controlling = self.state in (State.RUN, State.DEGRADED) and self.supervisor.armed_at is None
         if controlling and not self.waiting and now - self._commanded_at > stale:
-            return f"no command for {now - self._commanded_at:.3g} s"
+            return f"no command for {stale:g} s"
         return ""
 
     def _new_epoch(self) -> None:
