@@ -15,6 +15,7 @@ from rosgraph_msgs.msg import Clock as ClockMsg
 
 from ros2_deepc.ros import topics
 from ros2_deepc.ros.convert import period_ns, refusal, sample, stamp
+from ros2_deepc.ros.diagnostics import OK, WARN, Diagnostics
 from ros2_deepc.ros.lifecycle import ManagedNode
 from ros2_deepc.ros.parameters import ConfigError, Param
 from ros2_deepc.ros.run import run_node
@@ -158,6 +159,8 @@ class PlantNode(ManagedNode):
         self._clock_topic = self.advertise(topics.CLOCK) if lockstep else None
         self.subscribe(topics.INPUTS, self._on_inputs, lockstep=lockstep)
         self._timer = None
+        self._diagnostics = Diagnostics(self, self.plant.name)
+        self.resources.callback(self._diagnostics.destroy)
 
     def activate(self) -> None:
         """Starts the run: a fresh plant, its description, then it waits for inputs 0."""
@@ -165,6 +168,7 @@ class PlantNode(ManagedNode):
         self._epoch = self._epoch + 1 if self._lockstep else self.get_clock().now().nanoseconds // 10**9 % 2**32
         self._stepper = self.plant.start(self.p["seed"])
         self._k = 0  # the next inputs to take
+        self._status = ""
         self._last: np.ndarray | None = None
         self._held = 0
         self._pending: dict[int, np.ndarray] = {}
@@ -227,6 +231,15 @@ class PlantNode(ManagedNode):
             self._held = 0
         self._step(u)
 
+    def _tell_status(self) -> None:
+        """What the plant says of its own state (a simulator's warnings, events) goes to the log and to /diagnostics."""
+        status = getattr(self._stepper, "status", "")
+        if status != self._status:
+            self._status = status
+            if status:
+                self.get_logger().warning(f"k = {self._k}: {status}", throttle_duration_sec=1.0)
+            self._diagnostics.report(WARN if status else OK, status or "running", {"k": self._k})
+
     def _hold(self, last: np.ndarray) -> np.ndarray:
         """The input of a tick for which none came."""
         if self._held == Sample.OWN_INPUT or self._held >= self.p["hold"]:
@@ -246,6 +259,7 @@ class PlantNode(ManagedNode):
         self._last = u
         y = self._stepper.push(u)
         self._k += 1
+        self._tell_status()
         if y is not None:
             k = self._k - max(int(self.plant.prior.s), 1)
             self._outputs.publish(sample(self.plant.name, self._epoch, k, y, self._time(k), self._held))
