@@ -27,6 +27,7 @@ setup(
             "monitor_node = ros2_deepc.nodes.monitor_node:main",
             "recorder_node = ros2_deepc.nodes.recorder_node:main",
             "operator_node = ros2_deepc.nodes.operator_node:main",
+            "gateway_node = ros2_deepc.gateway.gateway_node:main",
         ],
     },
 )

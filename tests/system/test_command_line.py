@@ -30,7 +30,7 @@ def deepc(tmp_path, domain_id):
 @pytest.mark.parametrize(
     ("arguments", "hint"),
     [
-        (["demo", "nosuch"], "unknown plant 'nosuch'; there are: net3, wscc9"),
+        (["demo", "nosuch"], "unknown plant 'nosuch'; there are: net3, net3_epanet, wscc9, wscc9_swing"),
         (["demo", "--out", "/proc/nope"], "choose another folder with --out"),
         (["demo", "--set", "controller.T=60", "--out", "run"], "needs T >= 85"),
         (["demo", "--set", "controller.N=-3", "--out", "run"], "N = -3"),
