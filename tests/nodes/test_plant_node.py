@@ -4,10 +4,12 @@
 """The plant node against a hand-driven controller: lockstep, real time, refusals, index 2."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from deepc_msgs.msg import PlantInfo, Sample
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -131,16 +133,17 @@ def test_a_run_ends_after_its_last_sample(bench):
     until(lambda: node.refused == 0 and len(hand.outputs) == 3)
 
 
-def test_real_time_holds_the_last_input_and_says_so(bench):
-    node, hand, until = bench(plant="wscc9", mode="realtime", speed=50.0, lockstep=False)
-    hand.send(0, [0.5, 0.0, 0.0], epoch=hand.infos[0].epoch)
+@pytest.mark.parametrize(("name", "speed"), [("wscc9", 50.0), ("wscc9_swing", 5.0), ("net3_epanet", 40_000.0)])
+def test_real_time_holds_the_last_input_and_says_so(bench, name, speed):
+    node, hand, until = bench(plant=name, mode="realtime", speed=speed, lockstep=False)
+    u = 0.5 * (node.plant.input_min + node.plant.input_max) + 0.05
+    hand.send(0, u, epoch=hand.infos[0].epoch)
     until(lambda: len(hand.outputs) >= 4)
-    held = [msg.held for msg in hand.outputs[:4]]
-    assert held == [0, 1, 2, 3]
+    assert [msg.held for msg in hand.outputs[:4]] == [0, 1, 2, 3]
     stamps = np.diff([nanoseconds(msg.header.stamp) for msg in hand.outputs[:4]])
-    assert (stamps == 100_000_000).all()
-    reference = PlantNode.plant_of({"plant": "wscc9"}).start(0)
-    expected = [reference.push(np.array([0.5, 0.0, 0.0])) for _ in range(4)]
+    assert (stamps == round(1e9 * node.plant.sample_time)).all()
+    reference = PlantNode.plant_of({"plant": name}).start(0)
+    expected = [reference.push(u) for _ in range(4)]
     np.testing.assert_array_equal([msg.values for msg in hand.outputs[:4]], expected)
     assert node.held_samples >= 3
 
@@ -185,3 +188,36 @@ def test_with_index_two_outputs_wait_for_the_next_input(bench):
         until(lambda n=k: len(hand.outputs) == n)
     assert [msg.k for msg in hand.outputs] == [0, 1, 2]
     np.testing.assert_allclose([abs(msg.values[1]) for msg in hand.outputs], np.abs(u[1:]), atol=1e-14)
+
+
+class Moody:
+    """A running plant that says how it is."""
+
+    def __init__(self):
+        self.k, self.status = 0, ""
+
+    def push(self, u):
+        self.k += 1
+        self.status = "tank 3 is empty" if self.k == 2 else ""
+        return u[:2]
+
+
+class MoodyNode(PlantNode):
+    """A node for it."""
+
+    @classmethod
+    def plant_of(cls, parameters):
+        plant = PlantNode.plant_of({"plant": "wscc9"})
+        return replace(plant, begin=lambda rng: Moody())
+
+
+def test_what_a_plant_says_of_itself_reaches_diagnostics(bench):
+    _, hand, until = bench(MoodyNode, readers=1)
+    told = []
+    hand.create_subscription(DiagnosticArray, "/diagnostics", lambda msg: told.extend(msg.status), 10)
+    until(lambda: hand.count_publishers("/diagnostics") == 1)
+    for k in range(3):
+        hand.send(k, [0.0, 0.0, 0.0])
+        until(lambda n=k + 1: len(hand.outputs) == n)
+    until(lambda: [status.message for status in told][-2:] == ["tank 3 is empty", "running"])
+    assert told[-2].level == DiagnosticStatus.WARN
