@@ -36,4 +36,12 @@ if ! "$python" -c 'import os, sysconfig; raise SystemExit(not os.path.exists(sys
     library=$(find "$root/lib" -name "lib$version.a" | head -n 1)
     export SKBUILD_CMAKE_DEFINE="Python3_INCLUDE_DIR=$root/include/$version;Python3_LIBRARY=$library"
 fi
-"$python" -m pip install --quiet --disable-pip-version-check -e .
+pip() { "$python" -m pip install --quiet --disable-pip-version-check "$@"; }
+pip -e .
+
+# EPANET has no wheel for Python 3.13: it is compiled from source, which needs SWIG (from PyPI, too).
+if ! "$python" -c 'import epanet' 2>/dev/null; then
+    pip swig
+    swig=$("$python" -c 'import pathlib, swig; print(pathlib.Path(swig.__file__).parent / "data")')
+    PATH="$(cd "$swig" && pwd)/bin:$PATH" SWIG_LIB=$(echo "$swig"/share/swig/*) pip "owa-epanet>=2.3,<2.4"
+fi

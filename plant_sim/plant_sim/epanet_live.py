@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from .arrays import Array, matrix
 from .demand import Demand
 from .errors import PlantError
-from .hydraulics import JUNCTION, PUMP, TANK, project
+from .hydraulics import JUNCTION, PUMP, TANK, epanet_toolkit, project
 
 HORIZON = 2_000_000_000  # s: about 63 years, the longest run that EPANET is asked for
 BRIM = 1e-4  # m: a tank this near to its end is full or empty
@@ -64,9 +64,7 @@ class LiveNetwork:
     def __init__(
         self, path: str | Path, inputs: Sequence[str], outputs: Sequence[str], dt: int, demand: Demand
     ) -> None:
-        from epanet import toolkit  # late, so that plants without water do not need it
-
-        self._tk: Any = toolkit
+        self._tk: Any = epanet_toolkit()
         resources = ExitStack()
         self._handle = resources.enter_context(project(Path(path)))
         self.close = weakref.finalize(self, resources.close)

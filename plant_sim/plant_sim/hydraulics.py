@@ -79,10 +79,19 @@ class Snapshot:
         raise PlantError(f"the network has no node {name!r}")
 
 
-def _toolkit() -> Any:
-    """EPANET; imported late, so that plants without water do not need it."""
-    from epanet import toolkit
+def epanet_toolkit() -> Any:
+    """EPANET; imported late, so that plants without water do not need it.
 
+    Raises:
+        PlantError: if it is not installed.
+    """
+    try:
+        from epanet import toolkit
+    except ImportError:
+        raise PlantError(
+            "EPANET is not installed: pip install owa-epanet (on Python 3.13 it is compiled, which needs SWIG; "
+            "`make demo` does that)"
+        ) from None
     return toolkit
 
 
@@ -93,7 +102,7 @@ def project(path: Path) -> Iterator[Any]:
     Raises:
         PlantError: if the file is missing or EPANET rejects it.
     """
-    toolkit = _toolkit()
+    toolkit = epanet_toolkit()
     if not path.is_file():
         raise PlantError(f"no such file: {path}")
     with tempfile.TemporaryDirectory() as folder:
@@ -123,7 +132,7 @@ def project(path: Path) -> Iterator[Any]:
 
 def _advance(handle: Any, target: int) -> tuple[int, bool]:
     """Runs EPANET to ``target`` seconds; returns the time reached and whether EPANET warned there."""
-    toolkit = _toolkit()
+    toolkit = epanet_toolkit()
     toolkit.openH(handle)
     toolkit.initH(handle, 0)
     while True:
@@ -136,7 +145,7 @@ def _advance(handle: Any, target: int) -> tuple[int, bool]:
 
 def _solve(handle: Any, hour: float, name: str) -> tuple[str, ...]:
     """Runs EPANET's own schedule up to ``hour``; returns what EPANET warns of at that instant."""
-    toolkit = _toolkit()
+    toolkit = epanet_toolkit()
     toolkit.setoption(handle, toolkit.ACCURACY, 1e-8)
     toolkit.setoption(handle, toolkit.TRIALS, TRIALS)
     target = round(hour * 3600)
@@ -154,13 +163,13 @@ def _solve(handle: Any, hour: float, name: str) -> tuple[str, ...]:
 
 
 def _curve(handle: Any, index: int) -> tuple[tuple[float, float], ...]:
-    toolkit = _toolkit()
+    toolkit = epanet_toolkit()
     count = toolkit.getcurvelen(handle, index)
     return tuple(tuple(toolkit.getcurvevalue(handle, index, i)) for i in range(1, count + 1))
 
 
 def _link(handle: Any, index: int) -> Link:
-    toolkit = _toolkit()
+    toolkit = epanet_toolkit()
 
     def value(name: str) -> float:
         return float(toolkit.getlinkvalue(handle, index, getattr(toolkit, name)))
@@ -185,7 +194,7 @@ def _link(handle: Any, index: int) -> Link:
 
 def _relief(handle: Any, index: int) -> float:
     """Slope of emitter flow C p^e and of a demand D ((p - p0) / (p1 - p0))^e at the present pressure p [m2/s]."""
-    toolkit = _toolkit()
+    toolkit = epanet_toolkit()
     pressure = toolkit.getnodevalue(handle, index, toolkit.PRESSURE)
     relief = 0.0
     if pressure > 0:
@@ -199,7 +208,7 @@ def _relief(handle: Any, index: int) -> float:
 
 
 def _node(handle: Any, index: int) -> Node:
-    toolkit = _toolkit()
+    toolkit = epanet_toolkit()
     kind = toolkit.getnodetype(handle, index)
     diameter = toolkit.getnodevalue(handle, index, toolkit.TANKDIAM) if kind == TANK else 0.0
     return Node(
@@ -220,7 +229,7 @@ def snapshot(path: str | Path, hour: float) -> Snapshot:
     """
     path = Path(path)
     with project(path) as handle:
-        toolkit = _toolkit()
+        toolkit = epanet_toolkit()
         warned = _solve(handle, hour, path.name)
         nodes = tuple(_node(handle, i + 1) for i in range(toolkit.getcount(handle, toolkit.NODECOUNT)))
         links = tuple(_link(handle, i + 1) for i in range(toolkit.getcount(handle, toolkit.LINKCOUNT)))
