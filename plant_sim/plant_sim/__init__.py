@@ -4,10 +4,12 @@
 
 from .describe import describe
 from .descriptor import DescriptorSystem
+from .epanet_plant import epanet_from_inp, net3_epanet
 from .errors import InconsistentStateError, NotRegularError, PlantError, ShapeError, UnclearStructureError
 from .plant import Plant, StructurePrior
 from .power import wscc9
 from .random_systems import Planted, random_system
+from .swing_plant import swing_from_case, wscc9_swing
 from .water import net3
 
 __all__ = [
@@ -21,7 +23,11 @@ __all__ = [
     "StructurePrior",
     "UnclearStructureError",
     "describe",
+    "epanet_from_inp",
     "net3",
+    "net3_epanet",
     "random_system",
+    "swing_from_case",
     "wscc9",
+    "wscc9_swing",
 ]
