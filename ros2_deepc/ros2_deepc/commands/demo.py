@@ -42,7 +42,7 @@ def demo(
 
     Examples:
       ros2-deepc demo
-      ros2-deepc demo net3 --seed 3 --out /tmp/net3
+      ros2-deepc demo net3 --seed 3 --out net3-run
       ros2-deepc demo wscc9 -o variant=full
     """
     if executor not in EXECUTORS:
