@@ -71,7 +71,7 @@ def recorded(tmp_path_factory, domain_id, parameters_of):
     changes = {
         "plant": {"steps": STEPS, "readers": 5},
         "controller": {"readers_inputs": 4, "readers_state": 3},
-        "monitor": {"readers": 3, "log": str(out / "verdicts")},
+        "monitor": {"readers": 3, "log": str(out / "verdicts"), "indicator": True},
         "operator": {"readers": 3},
         "recorder": {"folder": str(out / "bag")},
     }
