@@ -9,11 +9,19 @@ import sys
 import tomllib
 import types
 from configparser import ConfigParser
+from dataclasses import fields
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
+from deepc_msgs.msg import ControllerState, MonitorReport
+from deepc_msgs.msg import Verdict as VerdictMsg
 
+from ros2_deepc import dashboard
+from ros2_deepc.bags import run
+from ros2_deepc.control import Status
+from ros2_deepc.control.modes import Mode
+from ros2_deepc.monitors import Report, Verdict, live
 from ros2_deepc.nodes.config import ROLES, load, node_class, shipped, validate
 from ros2_deepc.ros import topics
 
@@ -170,3 +178,22 @@ def test_the_topic_table_names_types_that_exist():
     for topic in topics.ALL:
         package, kind, name = topic.type_name.split("/")
         assert (Path(sys.prefix) / "share" / package / kind / f"{name}.msg").exists()
+
+
+def test_modes_and_verdicts_have_the_same_numbers_everywhere():
+    modes = {mode.name: int(mode) for mode in Mode}
+    assert {name: getattr(ControllerState, name) for name in modes} == modes
+    assert [mode.name for mode in Mode] == list(run.MODES) == list(dashboard._MODES)
+    verdicts = {verdict.name: int(verdict) for verdict in Verdict}
+    assert {name: getattr(VerdictMsg, name) for name in verdicts} == verdicts
+    assert [verdict.name for verdict in Verdict] == list(run.VERDICTS)
+    assert [verdict.name.replace("_", " ") for verdict in Verdict] == [text for text, _ in dashboard._VERDICTS]
+    statuses = {f"STATUS_{status.name}": int(status) + 1 for status in Status}
+    assert {name: getattr(ControllerState, name) for name in statuses} == statuses
+
+
+def test_the_properties_are_those_of_report_and_message():
+    assert run.PROPERTIES == live.PROPERTIES
+    for name in live.PROPERTIES:
+        assert hasattr(MonitorReport(), name)
+        assert name in {field.name for field in fields(Report)}

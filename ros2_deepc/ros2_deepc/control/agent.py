@@ -80,7 +80,6 @@ class Agent:
         """Samples in control without a solved optimisation."""
         self.lost = 0
         """Samples that never came, or whose input is not known."""
-        self._m = m
         low, high, du, self._safe = (
             np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (m,)))
             for value in (settings.u_min, settings.u_max, settings.du_max, settings.u_safe)
@@ -153,16 +152,6 @@ class Agent:
     def prepare(self) -> None:
         """Does the work of the next step that does not need its sample; call it once the command is out."""
         self.controller.prepare()
-
-    def silence(self, samples: int) -> str:
-        """The plant has been silent for some samples: falls back when that is too long.
-
-        Returns:
-            Why it fell back, in one line; empty if it did not, or had done so before.
-        """
-        if samples <= self.safety.max_gap or self.mode in (Mode.FALLBACK, Mode.SHADOW):
-            return ""
-        return self._fall_back(f"no outputs for {samples} samples, more than {self.safety.max_gap} are not bridged")
 
     def request(self, wanted: int) -> str:
         """An operator asks for a mode; see `modes.REQUESTS`.

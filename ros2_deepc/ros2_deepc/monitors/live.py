@@ -6,7 +6,7 @@
 import time
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -191,6 +191,3 @@ def _head(inputs: dict[int, Array], oldest: int) -> Iterable[int]:
         if k >= oldest:
             return
         yield k
-
-
-assert set(PROPERTIES) <= {field.name for field in fields(Report)}
