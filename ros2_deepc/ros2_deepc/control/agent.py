@@ -3,12 +3,14 @@
 
 """From samples to inputs: excite until the data describe the plant, then control it. The controller node wraps it."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .controller import DeepcController
+from .disturbances import DisturbanceRecord
 from .excitation import Excitation, Signal
 from .modes import Mode, Safety, refusal
 from .reference import ReferenceSchedule
@@ -55,6 +57,7 @@ class Agent:
         bounds: what a healthy loop keeps to; beyond them it falls back.
         excitation: signal while collecting.
         amplitude: share of the input range that it uses, in (0, 1].
+        preview: whether the plan follows references that are known to come; otherwise it takes the next one to stay.
 
     Raises:
         ValueError: if the settings cannot work (the message says what would).
@@ -71,15 +74,18 @@ class Agent:
         bounds: Bounds | None = None,
         excitation: Signal = "uniform",
         amplitude: float = 1.0,
+        preview: bool = False,
     ) -> None:
         self.controller = DeepcController(m, p, settings)
         self.references = ReferenceSchedule(p)
+        self.disturbances = DisturbanceRecord(settings.disturbances)
+        """Measured disturbances and their forecasts: those of sample k must be set before `step(k)`."""
         self.safety = safety or Safety()
         self.mode = Mode.COLLECTING
         self.failures = 0
         """Samples in control without a solved optimisation."""
         self.lost = 0
-        """Samples that never came, or whose input is not known."""
+        """Samples that never came, or whose input or measured disturbance is not known."""
         low, high, du, self._safe = (
             np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (m,)))
             for value in (settings.u_min, settings.u_max, settings.du_max, settings.u_safe)
@@ -90,6 +96,8 @@ class Agent:
         rng = np.random.Generator(np.random.PCG64([seed, _EXCITATION_STREAM]))
         self._excitation = Excitation(excitation, low, high, rng, du_max=du, amplitude=amplitude)
         self._watch = Watch(p, bounds or Bounds())
+        self._preview = preview
+        self._modes: dict[int, tuple[complex, ...]] = {}  # reported as out of the inputs' reach, by sample
         self._predicted: tuple[int, Array] | None = None  # the sample it is for, and the outputs
         self._commands: dict[int, Array] = {}
         self._next: int | None = None  # outputs expected next
@@ -113,14 +121,15 @@ class Agent:
         """Takes outputs k and decides u(k+s).
 
         Args:
-            k: index of the outputs, above that of the last ones.
+            k: index of the outputs, above that of the last ones. A sample whose measured disturbances nobody has told
+                counts as lost.
             y: outputs, shape (p,).
             held: the plant used the input commanded ``held`` samples earlier for u(k+s-1), the newest that y(k) sees.
         """
         self._take(k, y, held)
         self._next = k + 1
         result = None
-        target = self.references.at(k + 1)
+        target = self._target(k)
         trouble = self._trouble(k, y)
         if self.mode is Mode.FALLBACK:
             reason = self._why
@@ -131,7 +140,8 @@ class Agent:
         elif target is None:
             reason = "the data suffice, but no reference was given"
         else:
-            result = self.controller.step(target)
+            self._heed_modes(k)
+            result = self.controller.step(target, self._forecast(k))
             reason = self._judge(result)
             self._predicted = (k + 1, result.y_plan[0])
         u = self._choose(k, result)
@@ -140,6 +150,14 @@ class Agent:
     def overhear(self, k: int, u: ArrayLike) -> None:
         """Somebody else commanded input k, shape (m,); in SHADOW these are the inputs that act."""
         self._commands[k] = np.array(u, dtype=np.float64)
+
+    def blame(self, k: int, modes: Iterable[complex]) -> None:
+        """Modes that the inputs do not reach, as a monitor reports them: from outputs k on, until it reports others.
+
+        Outputs that cannot be held for that (`controller.unholdable`) are then not chased; ``controller.mask`` shows
+        it. No modes: all outputs count again as the settings say.
+        """
+        self._modes[k] = tuple(complex(mode) for mode in modes)
 
     def tune(self, **changes: object) -> None:
         """Changes settings of the controller that need no new data, from the next sample on.
@@ -168,6 +186,7 @@ class Agent:
         if mode is Mode.COLLECTING:
             self.controller.reset()
             self._watch.reset()
+            self._modes.clear()
             self._next, self._aligned, self._rich = None, False, False
         lacking = self.controller.missing() if mode is Mode.CONTROLLING else ""
         if lacking and not self._rich:
@@ -179,13 +198,37 @@ class Agent:
 
     # Inside
 
+    def _target(self, k: int) -> Array | None:
+        """The reference after outputs k: of the next sample, or with a preview of each sample of the plan, (L, p)."""
+        if not self._preview:
+            return self.references.at(k + 1)
+        path = [self.references.at(j) for j in range(k + 1, k + 1 + self.settings.L)]
+        return None if path[0] is None else np.array(path)
+
+    def _forecast(self, k: int) -> Array | None:
+        """The disturbances over the plan, if the settings have any."""
+        settings = self.settings
+        if not settings.disturbances:
+            return None
+        return self.disturbances.forecast(k + 1, settings.L + settings.s - 1)
+
+    def _heed_modes(self, k: int) -> None:
+        """Drops the outputs that the modes reported for this sample make impossible to hold."""
+        due = [start for start in self._modes if start <= k]
+        if due:
+            self.controller.drop(self.controller.unholdable(self._modes[max(due)]))
+            for start in due:
+                del self._modes[start]
+
     def _take(self, k: int, y: ArrayLike, held: int) -> None:
         """Gives the sample to the controller; where anything is missing, a new record begins."""
         s = self.settings.s
         newest = k + s - 1
         applied = self._commands.get(newest - held)
         gap = 0 if self._next is None else k - self._next
+        d = self.disturbances.at(k) if self.settings.disturbances else None
         known = applied is not None and all(j in self._commands for j in range(k, newest))
+        known &= d is not None or not self.settings.disturbances
         if gap or not known:
             self.lost += gap + (not known)
             self.controller.cut()
@@ -198,7 +241,7 @@ class Agent:
         self._commands[newest] = applied
         for j in [newest] if self._aligned else range(k, newest + 1):
             self.controller.commit(self._commands[j])
-        self.controller.observe(self._commands[k], y)
+        self.controller.observe(self._commands[k], y, d)
         self._aligned = True
 
     def _trouble(self, k: int, y: ArrayLike) -> str:

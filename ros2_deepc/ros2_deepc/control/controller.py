@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The online DeePC controller: observe, step, prepare."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from time import perf_counter
 from typing import Any
@@ -16,8 +17,9 @@ from ros2_deepc.behavior.window import as_sample
 from .limiter import Limiter
 from .planner import Plan, Planner
 from .policy import RunData
+from .reach import unholdable
 from .result import NotReadyError, Status, StepResult
-from .settings import LIVE, DeepcSettings, size
+from .settings import LIVE, DeepcSettings, Sized, size
 
 DITHER_STREAM = 2  # of the seed; 0 and 1 belong to plants and excitation
 
@@ -59,6 +61,8 @@ class DeepcController:
     def reset(self) -> None:
         """Forgets all data: a new run begins."""
         base = self._sized.base
+        self._dropped = np.zeros(self._sized.p, dtype=bool)
+        self._sized = self._with_mask(self._sized)
         self._data = RunData(self._sized)
         self._recent = DataWindow(self._sized.m + base.disturbances, self._sized.p, base.past)
         self._planner = Planner(self._sized)
@@ -82,12 +86,32 @@ class DeepcController:
         """
         if wrong := sorted(set(changes) - LIVE):
             raise ValueError(f"{', '.join(wrong)} cannot change while running; these can: {', '.join(sorted(LIVE))}")
-        self._sized = size(replace(self._sized.base, **changes), self._sized.m, self._sized.p)
-        self._limiter = Limiter(self._sized.u_min, self._sized.u_max, self._sized.du_max)
-        self._dithers = bool(self._sized.dither.any())
-        self._planner = Planner(self._sized)
-        self._data.adjust(self._sized)
-        self._goal_key = None
+        self._adopt(size(replace(self._sized.base, **changes), self._sized.m, self._sized.p))
+
+    def drop(self, outputs: ArrayLike) -> None:
+        """Outputs that are not chased from the next sample on, whatever the settings' mask says; until told otherwise.
+
+        Args:
+            outputs: booleans, shape (p,).
+
+        Raises:
+            ValueError: for a wrong size.
+        """
+        dropped = np.array(outputs, dtype=bool)
+        if dropped.shape != (self._sized.p,):
+            raise ValueError(f"outputs has shape {dropped.shape}: give ({self._sized.p},) booleans")
+        if (dropped != self._dropped).any():
+            self._dropped = dropped
+            self._adopt(self._sized)
+
+    def unholdable(self, modes: Iterable[complex]) -> Array:
+        """Outputs that cannot be held if the inputs do not reach these modes, by the data in use; booleans, shape (p,).
+
+        None while the data do not suffice yet. See `reach.unholdable`.
+        """
+        if self._data.missing():
+            return np.zeros(self._sized.p, dtype=bool)
+        return unholdable(self._data.predictor(), modes, self._sized, self._data.scale)
 
     # What the data can do
 
@@ -128,6 +152,11 @@ class DeepcController:
     def window_length(self) -> int:
         """Inputs in the data window."""
         return self._data.length
+
+    @property
+    def mask(self) -> Array:
+        """Weight of each output in force, shape (p,): the settings' mask, zero for outputs that were dropped."""
+        return self._sized.mask.copy()
 
     @property
     def weak(self) -> str:
@@ -236,6 +265,21 @@ class DeepcController:
         )
 
     # Inside
+
+    def _with_mask(self, sized: Sized) -> Sized:
+        """The settings with the mask that they give, less the outputs that were dropped."""
+        mask = size(sized.base, sized.m, sized.p).mask
+        return replace(sized, mask=np.where(self._dropped, 0.0, mask))
+
+    def _adopt(self, sized: Sized) -> None:
+        """Takes settings that need no new data; the program follows in the next preparation."""
+        self._sized = sized = self._with_mask(sized)
+        self._limiter = Limiter(sized.u_min, sized.u_max, sized.du_max)
+        self._dithers = bool(sized.dither.any())
+        self._due = self._planner.loaded
+        self._planner = Planner(sized)
+        self._data.adjust(sized)
+        self._goal_key = None
 
     def _load(self) -> None:
         """Brings the program up to date with the window."""

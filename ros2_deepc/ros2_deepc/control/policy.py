@@ -47,6 +47,12 @@ class RunData:
         return min(len(self._window) + len(self._ahead), self._sized.T)
 
     @property
+    def scale(self) -> tuple[Array, Array]:
+        """Root mean square of inputs and disturbances, and of outputs, in the first rich window."""
+        assert self._first is not None  # asked for only when nothing is missing
+        return self._first.scale
+
+    @property
     def moves(self) -> bool:
         """Whether the predictor changes while the plant is controlled."""
         return self._sized.base.data_policy != "fixed"
