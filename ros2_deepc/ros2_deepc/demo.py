@@ -7,17 +7,17 @@ import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
-from .bags.figure import draw
+from .bags.reader import BagReader
 from .bags.run import load_run
 from .bags.summary import summarize
 from .dashboard import Dashboard
 from .nodes.config import Parameters, merged, node_class, text_of, validate
+from .nodes.recorder_node import FIGURE
 from .nodes.stack import Stack, running
 from .ros.parameters import ConfigError
 
@@ -76,7 +76,8 @@ def run(parameters: Parameters, options: Options, console: Console) -> dict[str,
         node_class(role).check(values, info)
     out = _fresh(options.out)
     (out / SETTINGS).write_text(text_of(parameters), encoding="utf-8")
-    recorder = {"folder": str(out / "bag"), "metadata": _metadata(parameters), "attach": [str(out / SETTINGS)]}
+    recorder = {"folder": str(out / "bag"), "attach": [str(out / SETTINGS)], "figure": True}
+    recorder["metadata"] = _metadata(parameters)
     parameters = merged(merged(parameters, _READERS), {"recorder": recorder, "monitor": {"log": str(out / "verdicts")}})
     (out / _STARTED).write_text(text_of(parameters), encoding="utf-8")
     try:
@@ -115,9 +116,10 @@ def _to_the_end(parameters: Parameters, steps: int, name: str, options: Options,
             watch.look()
 
         stack.spinner.until(done, between)
-        if stack.failure():
-            raise RunError(stack.failure())
-        stack.finish()
+        trouble = stack.failure()
+        trouble = trouble or stack.finish()
+        if trouble:
+            raise RunError(trouble)
 
 
 class _Watch:
@@ -158,14 +160,14 @@ def _metadata(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """What somebody needs to know of a run a year later; nothing of the machine."""
     plant = parameters["plant"]
     facts = {"plant": plant.get("plant", ""), "seed": plant.get("seed", 0), "steps": plant["steps"]}
-    facts |= {f"version_{name}": version(name) for name in ("ros2-deepc", "numpy", "scipy", "osqp", "ros-rclpy")}
+    facts["parameters"] = text_of(parameters)
     return [f"{name}={value}" for name, value in facts.items()]
 
 
 def _harvest(out: Path) -> dict[str, Any]:
     """Figure and summary, from the bag alone."""
-    record = load_run(out / "bag")
-    summary = summarize(record)
-    draw(record, out / "figure.png")
+    reader = BagReader(out / "bag")
+    summary = summarize(load_run(reader))
+    (out / FIGURE).write_bytes(next(a.data for a in reader.attachments() if a.name == FIGURE))
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return summary

@@ -131,6 +131,12 @@ def plotjuggler(table: Sequence[Panel], namespace: str) -> str:
     return "<?xml version='1.0' encoding='UTF-8'?>\n" + ET.tostring(root, encoding="unicode") + "\n"
 
 
+def layouts(namespace: str, output_names: Sequence[str], input_names: Sequence[str]) -> dict[str, str]:
+    """The layout of a zone for each viewer, as text by file name."""
+    table = panels(output_names, input_names)
+    return {"foxglove.json": foxglove(table, namespace), "plotjuggler.xml": plotjuggler(table, namespace)}
+
+
 def write_layouts(
     folder: str | os.PathLike[str], namespace: str, output_names: Sequence[str], input_names: Sequence[str]
 ) -> list[Path]:
@@ -139,8 +145,7 @@ def write_layouts(
     Raises:
         BagError: if the folder cannot be written.
     """
-    table = panels(output_names, input_names)
-    files = {"foxglove.json": foxglove(table, namespace), "plotjuggler.xml": plotjuggler(table, namespace)}
+    files = layouts(namespace, output_names, input_names)
     paths = []
     try:
         Path(folder).mkdir(parents=True, exist_ok=True)

@@ -64,6 +64,7 @@ class BagWriter:
         self._metadata, self._ros_distro = dict(metadata or {}), ros_distro
         self._max_bytes, self._max_duration = max_bytes, round(max_duration * 1e9)
         self._flush_period, self._flushed = flush_period, time.monotonic()
+        self._count, self._safe = 0, 0  # messages written, and those of them that were flushed
         self._topics: dict[str, TopicRecord] = {}
         self._definitions: dict[str, str] = {}
         self._files: list[FileRecord] = []
@@ -80,7 +81,7 @@ class BagWriter:
     @property
     def message_count(self) -> int:
         """Messages written so far."""
-        return sum(f.count for f in self._files)
+        return self._count
 
     def add_topic(
         self,
@@ -126,6 +127,7 @@ class BagWriter:
         record, entry = self._topics[topic], self._files[-1]
         entry.add(topic, log_time)
         record.count += 1
+        self._count += 1
         with self._disk():
             self._mcap.add_message(
                 self._channels[topic],
@@ -134,8 +136,7 @@ class BagWriter:
                 publish_time=log_time if publish_time is None else publish_time,
                 sequence=record.count & 0xFFFFFFFF,
             )
-        if time.monotonic() - self._flushed > self._flush_period:
-            self.flush()
+        self.flush_if_due()
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int = 0) -> None:
         """Attaches a file, e.g. the configuration; ``time_ns`` is stored as its creation and log time."""
@@ -149,10 +150,15 @@ class BagWriter:
         with self._disk():
             self._mcap.add_metadata(name, dict(values))
 
+    def flush_if_due(self) -> None:
+        """Flushes if the last flush was longer ago than the flush period and something came since."""
+        if time.monotonic() - self._flushed > self._flush_period and self._count > self._safe:
+            self.flush()
+
     def flush(self) -> None:
         """Hands everything so far to the operating system: a kill of this process loses nothing before this call."""
         self._check_open()
-        self._flushed = time.monotonic()
+        self._flushed, self._safe = time.monotonic(), self._count
         with self._disk():
             self._mcap.flush()
 

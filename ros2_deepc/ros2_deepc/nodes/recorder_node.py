@@ -4,14 +4,20 @@
 """The recorder: every topic of a zone, as it came over the wire, into one bag."""
 
 import time
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from ..bags.convert import offered_qos
+from ..bags.background import BackgroundWriter
+from ..bags.convert import from_cdr, offered_qos
+from ..bags.layouts import layouts
+from ..bags.provenance import facts
 from ..bags.writer import BagWriter
 from ..ros import topics
+from ..ros.diagnostics import ERROR, WARN, Diagnostics
 from ..ros.lifecycle import ManagedNode
 from ..ros.parameters import ConfigError, Param
 from ..ros.run import run_node
@@ -20,12 +26,19 @@ PARAMETERS = (
     Param("folder", "", "folder of the bag; must not exist yet"),
     Param("attach", [""], "files to keep in the bag, e.g. the parameters of the run"),
     Param("metadata", [""], "KEY=VALUE strings to store in the bag"),
+    Param("figure", False, "draw the run when it ends and keep the picture in the bag"),
+    Param("max_size", 0.0, "start a new file of the bag after this much; 0 = never", "MB", low=0.0),
+    Param("max_duration", 0.0, "start a new file of the bag after this time; 0 = never", "s", low=0.0),
+    Param("queue", 64.0, "messages that may wait for a slow disk", "MB", low=0.1, high=10_000.0),
     Param(
         "idle", 0.3, "how long the topics must be silent before the bag is closed at the end", "s", low=0.0, high=60.0
     ),
 )
 
 _PATIENCE = 5.0  # [s] for the last messages, when others go on publishing
+_WAIT = 60.0  # [s] that a loop in lockstep waits for the disk; one in real time does not wait
+_MEDIA = {".yaml": "application/yaml", ".json": "application/json", ".xml": "application/xml", ".png": "image/png"}
+FIGURE = "figure.png"  # name of the attached picture
 
 
 def _subscription_qos(topic: topics.Topic) -> QoSProfile:
@@ -40,7 +53,11 @@ def _subscription_qos(topic: topics.Topic) -> QoSProfile:
 
 
 class RecorderNode(ManagedNode):
-    """Writes the CDR bytes of every message of the topic table to an MCAP bag in the layout of rosbag2."""
+    """Writes the CDR bytes of every message of the topic table to an MCAP bag in the layout of rosbag2.
+
+    A disk that is full, gone or too slow is an ERROR or WARN on /diagnostics and the node's fault at its end, but never
+    the end of the loop: the node lives on without writing.
+    """
 
     parameters = PARAMETERS
 
@@ -49,19 +66,26 @@ class RecorderNode(ManagedNode):
         self.messages = 0
         self._last_message = time.monotonic()
         self._stopping = 0.0
-        self._writer: BagWriter | None = None
+        self._bag: BackgroundWriter | None = None
         self._known: set[str] = set()
+        self._lockstep, self._met = False, False
+        self._told: tuple[str, int] = ("", 0)  # trouble that was reported: failure and number of lost messages
 
     def configure(self) -> None:
         """Opens the bag and subscribes."""
         if not self.p["folder"]:
             raise ConfigError("recorder: give the parameter folder, for example folder:=runs/today/bag")
-        metadata = dict(text.split("=", 1) for text in filter(None, self.p["metadata"]))
-        self._writer = BagWriter(Path(self.p["folder"]), metadata=metadata)
+        given = dict(text.split("=", 1) for text in filter(None, self.p["metadata"]))
+        size, duration = round(1e6 * self.p["max_size"]), self.p["max_duration"]
+        files = {path.name: path.read_bytes() for path in map(Path, filter(None, self.p["attach"]))}
+        writer = BagWriter(Path(self.p["folder"]), metadata=facts() | given, max_bytes=size, max_duration=duration)
+        for name, data in files.items():
+            _attach(writer, name, data)
+        self._diagnostics = Diagnostics(self, "")
+        self.resources.callback(self._diagnostics.destroy)
+        self._bag = BackgroundWriter(writer, round(1e6 * self.p["queue"]))
         self.resources.callback(self._close)
-        for path in map(Path, filter(None, self.p["attach"])):
-            self._writer.attach(path.name, "application/yaml", path.read_bytes())
-        for topic in topics.ALL:
+        for topic in topics.RECORDED:
             tap = self.create_subscription(
                 topic.type, topic.name, self._writes(topic), _subscription_qos(topic), raw=True
             )
@@ -74,9 +98,34 @@ class RecorderNode(ManagedNode):
         return now - self._last_message > self.p["idle"] or now - self._stopping > _PATIENCE
 
     def _close(self) -> None:
-        if self._writer is not None:
-            self._writer.close()
-            self._writer = None
+        bag, self._bag = self._bag, None
+        if bag is None:
+            return
+        writer = bag.stop()
+        try:
+            if not bag.failure:
+                writer.add_metadata("recorder", {"messages": str(writer.message_count), "lost": str(bag.lost)})
+                self._draw(writer)
+            writer.close()
+        except OSError as error:
+            self.fault = str(error)
+        if trouble := _trouble(bag):
+            self.fault = trouble[1]
+
+    def _draw(self, writer: BagWriter) -> None:
+        if not self.p["figure"]:
+            return
+        from ..bags.figure import draw  # matplotlib, only where it is asked for
+        from ..bags.run import load_run
+
+        writer.flush()
+        with TemporaryDirectory() as folder:
+            try:
+                draw(load_run(writer.folder), Path(folder) / FIGURE)
+            except OSError as error:
+                self.get_logger().warning(f"no figure: {error}")
+                return
+            _attach(writer, FIGURE, (Path(folder) / FIGURE).read_bytes())
 
     def _writes(self, topic: topics.Topic) -> Any:
         name = self.resolve_topic_name(topic.name)
@@ -84,29 +133,60 @@ class RecorderNode(ManagedNode):
         def write(data: bytes) -> None:  # asked for message info, too, EventsExecutor fails on raw bytes
             try:
                 self._write(name, topic, data)
-            except OSError as error:
+            except Exception as error:
                 self.on_fault(error)
 
         return write
 
     def _write(self, name: str, topic: topics.Topic, data: bytes) -> None:
-        if self._writer is None:
+        if self._bag is None or self._bag.failure:
             return
         if name not in self._known:
             self._known.add(name)
             self._add(name, topic)
+        if topic is topics.PLANT_INFO:
+            self._meet(from_cdr(data, topic.type_name))
         now = self.get_clock().now().nanoseconds
-        self._writer.write(name, data, now, now)
+        self._bag.write(name, data, now, patience=_WAIT if self._lockstep else 0.0)
         self.messages += 1
         self._last_message = time.monotonic()
+        self._tell(self._bag)
+
+    def _tell(self, bag: BackgroundWriter) -> None:
+        trouble, state = _trouble(bag), (bag.failure, bag.lost)
+        if trouble is None or state == self._told:
+            return
+        self._told = state
+        self.get_logger().error(trouble[1], throttle_duration_sec=5.0)
+        self._diagnostics.report(*trouble, {"lost": bag.lost})
 
     def _add(self, name: str, topic: topics.Topic) -> None:
-        assert self._writer is not None
+        assert self._bag is not None
         offered = self.get_publishers_info_by_topic(name)
+        qos = [offered_qos(info.qos_profile) for info in offered]
         type_hash = str(offered[0].topic_type_hash) if offered else ""
-        self._writer.add_topic(
-            name, topic.type_name, qos=[offered_qos(info.qos_profile) for info in offered], type_hash=type_hash
-        )
+        self._bag.call(lambda writer: writer.add_topic(name, topic.type_name, qos=qos, type_hash=type_hash))
+
+    def _meet(self, info: Any) -> None:
+        """A plant: whether it waits for the disk, and layouts for its channels."""
+        assert self._bag is not None
+        self._lockstep = bool(info.lockstep)
+        if not self._met:
+            self._met = True
+            zone = self.get_namespace().rstrip("/")
+            for name, text in layouts(zone, info.output_names, info.input_names).items():
+                self._bag.call(partial(_attach, name=name, data=text.encode()))
+
+
+def _attach(writer: BagWriter, name: str, data: bytes) -> None:
+    writer.attach(name, _MEDIA.get(Path(name).suffix, "application/octet-stream"), data)
+
+
+def _trouble(bag: BackgroundWriter) -> tuple[bytes, str] | None:
+    """Level and words of what is wrong with the recording, if anything is."""
+    if bag.failure:
+        return ERROR, bag.failure
+    return (WARN, "the disk is too slow: messages are lost") if bag.lost else None
 
 
 def main() -> int:

@@ -33,14 +33,15 @@ class Stack:
         executor: of this process, with the observer on it.
         spinner: runs this process's share of it.
         failure: one line on why a node gave up; empty while all is well.
-        finish: stops all nodes, the recorder last, once everything published has been written.
+        finish: stops all nodes, the recorder last, once everything published has been written; returns one line on
+            what went wrong without ending the loop, such as a full disk, empty if nothing did.
     """
 
     observer: Observer
     executor: Executor
     spinner: Spinner
     failure: Callable[[], str]
-    finish: Callable[[], None]
+    finish: Callable[[], str]
 
 
 @contextmanager
@@ -113,7 +114,7 @@ class _InProcess:
     def failure(self) -> str:
         return next((node.fault for node in self._nodes if node.fault), "")
 
-    def finish(self) -> None:
+    def finish(self) -> str:
         for node in self._nodes:
             if not hasattr(node, "drained"):
                 node.quiesce()
@@ -123,8 +124,11 @@ class _InProcess:
         self._executor.shutdown()  # nothing may be taken off the graph while an executor still looks at it
         for node in self._nodes:
             node.stop()
+        trouble = self.failure()
+        for node in self._nodes:
             node.destroy_node()
         self._nodes.clear()
+        return trouble
 
 
 class _Processes:
@@ -149,11 +153,18 @@ class _Processes:
     def failure(self) -> str:
         for role, child in self._children.items():
             if child.poll() is not None:
-                lines = self._log(role).read_text(encoding="utf-8", errors="replace").strip().splitlines()
-                return f"the {role} process ended with code {child.returncode}: {lines[-1] if lines else 'no message'}"
+                return self._last_words(role, child) or f"the {role} process ended"
         return ""
 
-    def finish(self) -> None:
+    def _last_words(self, role: str, child: "subprocess.Popen[bytes]") -> str:
+        """How an ended process failed; empty if it did not."""
+        if not child.returncode:
+            return ""
+        lines = self._log(role).read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return f"the {role} process ended with code {child.returncode}: {lines[-1] if lines else 'no message'}"
+
+    def finish(self) -> str:
+        trouble = ""
         for role in sorted(self._children, key=lambda r: r == "recorder"):
             child = self._children[role]
             child.terminate()
@@ -162,7 +173,9 @@ class _Processes:
             except subprocess.TimeoutExpired:
                 child.kill()
                 child.wait()
+            trouble = trouble or self._last_words(role, child)
         self._children.clear()
+        return trouble
 
     def _log(self, role: str) -> Path:
         return self._logs / f"{role}.log"

@@ -11,6 +11,7 @@ from typing import Any
 
 from deepc_msgs.msg import ControllerState, Indicator, MonitorReport, PlantInfo, Sample
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Log, ParameterEvent
 from rosgraph_msgs.msg import Clock
 
 
@@ -50,3 +51,8 @@ DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, "all -> all")
 CLOCK = Topic("/clock", Clock, "plant -> all, in lockstep", depth=1)
 
 ALL = (PLANT_INFO, OUTPUTS, INPUTS, REFERENCE, STATE, REPORT, INDICATOR, DIAGNOSTICS, CLOCK)
+
+# what every node of ROS publishes by itself: recorded, too
+PARAMETER_EVENTS = Topic("/parameter_events", ParameterEvent, "all -> all", depth=1000)
+ROSOUT = Topic("/rosout", Log, "all -> all", latched=True, depth=1000)
+RECORDED = (*ALL, PARAMETER_EVENTS, ROSOUT)
