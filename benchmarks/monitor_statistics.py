@@ -67,9 +67,9 @@ def draw(rng: np.random.Generator, kind: str = "good") -> tuple[Planted, int]:
 
 
 def enough(plant: Planted, L: int, rng: np.random.Generator) -> int:
-    """Outputs for a rich window, and up to 80 more."""
+    """Outputs for a rich window with one column to spare, and up to 80 more."""
     m = plant.D.shape[1]
-    return (m + 1) * L + m * plant.s + plant.q + int(rng.integers(0, 80))
+    return (m + 1) * L + m * plant.s + plant.q + 1 + int(rng.integers(0, 80))
 
 
 def blurred(plant: Planted) -> bool:
@@ -207,6 +207,34 @@ def noise(n: int) -> Table:
     return Table(lines, broken)
 
 
+def undeclared(n: int) -> Table:
+    """Noisy data declared exact, in windows that begin where a verdict becomes possible: one column to spare and more."""
+    lines = [f"{'noise declared as none':22} {'plants':>7} PROVED by columns to spare: 1 2 3 4 | controllable plants"]
+    broken = []
+    for exponent in range(2, 15):
+        count: Counter[tuple[int, bool]] = Counter()
+        for i in range(n):
+            for bad in (False, True):
+                rng = generator(8, exponent, i, bad)
+                plant, L = draw(rng, "uncontrollable" if bad else "good")
+                least = (plant.D.shape[1] + 1) * L + plant.D.shape[1] * plant.s + plant.q
+                u, y = record(plant, least + 4, rng)
+                y, _ = with_noise(y, 20 * exponent, rng)
+                for spare in range(1, 5):
+                    K = least + spare
+                    prior = Prior(q=plant.q, s=plant.s)
+                    report = analyze(u[: K + plant.s - 1], y[:K], prior=prior, L=L if i % 2 else None)
+                    count[spare, bad] += report.r_controllability.verdict == PROVED
+        wrong, right = ([count[spare, bad] for spare in range(1, 5)] for bad in (True, False))
+        label = f"1e-{exponent}"
+        lines.append(
+            f"{label:22} {n:7} " + " ".join(f"{c:5}" for c in wrong) + " | " + " ".join(f"{c:5}" for c in right)
+        )
+        if any(wrong) or (exponent <= 6 and any(right)):
+            broken.append(f"PROVED from noise 1e-{exponent} declared as none: {wrong} uncontrollable, {right} others")
+    return Table(lines, broken)
+
+
 def wrong_prior(n: int) -> Table:
     lines = [
         f"{'prior too small by one':22} {'noise':>7} {'plants':>7}  noticed  PROVED although uncontrollable  other"
@@ -304,6 +332,7 @@ TABLES: dict[str, tuple[Callable[[int], Table], int]] = {
     "printed": (printed, 1500),
     "near": (near, 200),
     "noise": (noise, 400),
+    "undeclared": (undeclared, 100),
     "wrong_prior": (wrong_prior, 600),
     "closed_loop": (closed_loop, 200),
     "structure": (structure, 50),

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from plant_sim import net3, wscc9
+from plant_sim import net3, wscc9, wscc9_swing
 from ros2_deepc.monitors import Prior, Verdict, analyze
 
 
@@ -76,6 +76,41 @@ def test_water_network(inputs, control, observe, theorem_3):
         assert report.c_controllability.verdict == report.c_observability.verdict == Verdict.REFUTED
         if control != Verdict.PROVED:
             assert abs(report.r_controllability.lambda_star - 1) < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_an_undeclared_nonlinearity_is_noticed_from_the_first_window_on(seed):
+    plant = wscc9_swing()
+    u, y = record(plant, 45, seed)
+    for K in range(18, 45):
+        report = analyze(u[:K], y[:K], prior=prior(plant))
+        assert report.r_controllability.verdict in (Verdict.UNDECIDED, Verdict.PRIOR_VIOLATED)
+        assert report.r_observability.verdict in (Verdict.UNDECIDED, Verdict.PRIOR_VIOLATED)
+    assert report.r_controllability.verdict == Verdict.PRIOR_VIOLATED
+
+
+@pytest.mark.parametrize("decibel", [40, 80, 120])
+def test_undeclared_noise_proves_nothing_however_short_the_window(decibel):
+    plant = wscc9("full")
+    u, clean = record(plant, 60, 0)
+    rng = np.random.Generator(np.random.PCG64(decibel))
+    y = clean + np.sqrt(np.mean(clean**2, axis=0)) * 10 ** (-decibel / 20) * rng.standard_normal(clean.shape)
+    for K in range(15, 60):
+        report = analyze(u[:K], y[:K], prior=prior(plant))
+        assert report.r_controllability.verdict != Verdict.PROVED
+        assert report.r_observability.verdict != Verdict.PROVED
+
+
+def test_exact_data_prove_as_soon_as_one_column_could_have_contradicted():
+    plant = wscc9("full")
+    u, y = record(plant, 60, 0)
+    first = next(K for K in range(60) if K and _proved(u[:K], y[:K], plant))
+    assert first == 3 * 5 + 6 + 1 + 4  # m (L+s) + q columns, one more, L outputs; L = 4 is the lag
+    assert not _proved(u[: first - 1], y[: first - 1], plant)
+
+
+def _proved(u, y, plant):
+    return analyze(u, y, prior=prior(plant)).r_controllability.verdict == Verdict.PROVED
 
 
 def test_early_run_says_what_is_missing():

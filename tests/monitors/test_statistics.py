@@ -31,6 +31,7 @@ def tables():
         ("printed", 45),
         ("near", 3),
         ("noise", 2),
+        ("undeclared", 1),
         ("wrong_prior", 20),
         ("closed_loop", 6),
         ("structure", 3),

@@ -127,8 +127,8 @@ def _shortest(source: Source, prior: Prior) -> int:
 
 
 def _need(source: Source, prior: Prior, L: int) -> int:
-    """Columns that the rank of a rich window asks for."""
-    return source.m * (L + prior.s) + prior.q
+    """Columns asked for: the rank of a rich window, and one more, without which no data could contradict the prior."""
+    return source.m * (L + prior.s) + prior.q + 1
 
 
 def _lengths(source: Source, prior: Prior, L: int | None, *, exact: bool) -> list[int]:
@@ -173,11 +173,11 @@ def _too_short(source: Source, prior: Prior, L: int, noise: Noise) -> Report:
     """The report of data that cannot hold the rank yet."""
     need = _need(source, prior, L)
     have = source.columns(L, L + prior.s)
-    missing = need - have if have else source.m * (L + prior.s) + prior.q + L - source.samples
-    reason = f"{missing} more samples needed: {source.samples} outputs cannot hold rank {need} at L = {L}"
+    missing = need - have if have else need + L - source.samples
+    reason = f"{missing} more samples needed: {source.samples} outputs cannot show rank {need - 1} at L = {L}"
     if isinstance(source, Factor):
-        reason = f"a factor of depth {len(source.F)} and {have} columns cannot hold rank {need} at L = {L}"
-    return _report(source, prior, L, noise, nothing(reason, need), None)
+        reason = f"a factor of depth {len(source.F)} and {have} columns cannot show rank {need - 1} at L = {L}"
+    return _report(source, prior, L, noise, nothing(reason, need - 1), None)
 
 
 def _report(source: Source, prior: Prior, L: int, noise: Noise, slow: Outcome, tried: Tried | None) -> Report:

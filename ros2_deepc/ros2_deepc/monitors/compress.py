@@ -59,6 +59,10 @@ class Compression:
         """Backward-error bound of the factorisation: singular values below it are rounding."""
         return ROUNDING * EPS * float(np.sqrt(self.R11.shape[0] + self.R21.shape[0])) * self.norm
 
+    def spare(self, q: int) -> tuple[int, int]:
+        """Output rows and columns beyond those that q directions fill: only they can contradict the prior."""
+        return len(self.directions) - q, self.columns - len(self.R11) - q
+
     def per_input(self, rows: Array) -> Array:
         """Solves J R11 = rows, row by row backward stable."""
         return np.asarray(sla.solve_triangular(self.R11, rows.T, lower=True, trans="T", check_finite=False).T)

@@ -62,10 +62,10 @@ def _with_feedthrough(source: Source, prior: Prior, L: int, noise: Noise, level:
     if D.shape != (source.p, source.m):
         raise ValueError(f"prior D must have shape (p, m) = {(source.p, source.m)}, got {D.shape}")
     L = max(L, prior.q, prior.r, -(-prior.n // source.p))
-    need = source.m * L + prior.n
+    need = source.m * L + prior.n + 1
     have = source.columns(L, L)
     if have < need:
-        blank = _blank(f"{need - have} more columns needed: {have} cannot hold rank {need} at L = {L}")
+        blank = _blank(f"{need - have} more columns needed: {have} cannot show rank {need - 1} at L = {L}")
         return blank, blank
     data = source.without_feedthrough(D).window(L, L)
     outcome = decide(data, prior.n, noise.hankel_bound(data, level), replace(WHOLE, bound=noise.wording))

@@ -54,7 +54,7 @@ def indicate(u: ArrayLike, y: ArrayLike, *, prior: Prior, L: int, noise: Noise |
     source, level = from_records([(u, y)], prior.s), as_noise(noise)
     d, q, m = L + prior.s, prior.q, source.m
     need = m * d + q
-    missing = need - source.columns(L, d)
+    missing = need + 1 - source.columns(L, d)
     if missing > 0:
         return Indicator(rank_need=need, reason=f"at least {missing} more samples needed at L = {L}")
     data = source.window(L, d)

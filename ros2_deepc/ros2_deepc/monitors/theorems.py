@@ -11,9 +11,11 @@ With y - D u for y, sb = 0 and n for q the same tests are 2* (C-controllable, in
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from .certify import certify
 from .compress import Compression
+from .noise import GAUSS
 from .pencil import Pencil, reduce
 from .search import Minimum, minimum
 from .verdict import Finding, Mode, Verdict
@@ -38,6 +40,9 @@ CLEAR = 100
 GRACE = 1000
 """Exact data may hold more rounding than the outputs alone explain, for states are larger than outputs: what directions
 beyond q show, up to so many rounding bounds, counts as rounding and not against the prior."""
+
+HIDDEN = 1e-3
+"""Chance that white noise, declared to be none, shows less of itself than is reckoned with."""
 
 SLOW = Names("1*", "3*", "q")
 WHOLE = Names("2*", "4*", "n")
@@ -113,7 +118,21 @@ def threshold(data: Compression, q: int, eps_noise: float) -> float:
     """Bound of noise and rounding together, when no more than q directions are expected."""
     eps = eps_noise + data.floor
     beyond = float(data.sigma[q]) if q < data.sigma.size else 0.0
-    return max(eps, 10 * beyond) if eps_noise == 0 and beyond <= GRACE * eps else eps
+    return max(eps, hidden(data, q) * beyond) if eps_noise == 0 and 0 < beyond <= GRACE * eps else eps
+
+
+def hidden(data: Compression, q: int) -> float:
+    """How many times the singular value beyond q the norm of the noise in data that should be exact may be.
+
+    Of white noise of any level, what q directions and the inputs leave is a matrix of r x c independent entries, (r, c)
+    from `Compression.spare`: its norm is at least the chi-square quantile of r c degrees of freedom over min(r, c), all
+    under a root, but for a chance of `HIDDEN`. One spare row and column show little of it; a few are enough.
+    """
+    r, c = data.spare(q)
+    if min(r, c) < 1:
+        return np.inf
+    whole = GAUSS * (np.sqrt(len(data.directions)) + np.sqrt(data.columns))
+    return max(10.0, float(whole / np.sqrt(2 * gammaincinv(r * c / 2, HIDDEN) / min(r, c))))
 
 
 def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW) -> Outcome:
@@ -128,6 +147,8 @@ def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW) -> 
     eps = threshold(data, q, eps_noise)
     if data.inverse is None:
         return nothing(f"the inputs are not persistently exciting of order {data.d}", data.m * data.d + q, eps)
+    if data.spare(q)[1] < 1:
+        return nothing(f"every column is needed for the rank: none could contradict {names.order} = {q}", eps=eps)
     seen = int(np.count_nonzero(data.sigma > eps))
     observe = _observability(data, seen, q, eps, names)
     if seen == 0 or q == 0:
@@ -151,11 +172,14 @@ def _observability(data: Compression, seen: int, q: int, eps: float, names: Name
             f"the outputs show {seen} autonomous directions above the noise bound, {names.order} = {q} allows {q}: "
             f"{names.order} or s is too small, the noise bound too small, or the plant not linear"
         )
-    elif q == 0 or deciding > eps:
+    elif (q == 0 or deciding > eps) and data.spare(q)[0] > 0:
         verdict = Verdict.PROVED
         reason = (
             f"the window has rank {base + q}, all that {names.order} = {q} allows, for any noise within {names.bound}"
         )
+    elif seen == q:
+        verdict = Verdict.UNDECIDED
+        reason = f"{data.L + 1} outputs have no row more than {names.order} = {q} fills, to contradict it: larger L"
     else:
         verdict = Verdict.NOT_PROVED
         reason = (
