@@ -1,5 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -34,6 +36,32 @@ def test_factor_has_the_gram_of_the_window_after_every_push(channels, blocks, co
             assert np.abs(R.T @ R - H @ H.T).max() < 1e-12 * max(1, held)
         else:
             assert R.shape == (0, channels * blocks)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    blocks=st.integers(1, 4),
+    columns=st.integers(1, 30),
+    cuts=st.lists(st.integers(0, 99), max_size=6),
+    chunk=st.integers(0, 5),
+    rows=st.permutations(range(4)),
+)
+def test_no_column_spans_a_cut_and_rows_come_as_ordered(blocks, columns, cuts, chunk, rows):
+    w = samples(100, 2, 6)
+    order = [i for i in rows if i < 2 * blocks]
+    sliding = SlidingFactor(2, blocks, columns, chunk, order)
+    for k in range(100):
+        if k in cuts:
+            sliding.cut()
+        sliding.push(w[k])
+    begin = 100 - columns - blocks + 1
+    edges = [begin, *sorted({cut for cut in cuts if cut > begin}), 100]
+    pieces = [hankel(w[a:b], blocks) for a, b in pairwise(edges) if b - a >= blocks]
+    H = np.hstack(pieces)[order] if pieces else np.zeros((len(order), 0))
+    R = sliding.factor()
+    assert sliding.held == H.shape[1]
+    assert np.abs(R.T @ R - H @ H.T).max(initial=0) < 1e-12 * columns
+    assert np.all(np.tril(R, -1) == 0)
 
 
 @settings(max_examples=60, deadline=None)
