@@ -65,6 +65,33 @@ def test_lost_samples_and_held_inputs_leave_the_data_true(s, seed):
     assert controller.gap > 1e6
 
 
+@pytest.mark.parametrize("s", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_late_command_acts_later_and_leaves_the_data_true(s, seed):
+    plant, agent = plant_and_agent(s, seed, max_gap=4)
+    rng = np.random.Generator(np.random.PCG64(seed))
+    commands = dict(enumerate(agent.start()))
+    due = dict.fromkeys(commands, 0)  # instants at which they reach the plant, which takes the newest that has come
+    newest, k = 0, 0
+    for j in range(260):
+        newest = max(i for i in commands if i <= j and due[i] <= j)
+        y = plant.push(commands[newest])
+        if y is None:
+            continue
+        if rng.random() > 0.02:  # else these outputs are lost, and with them how old the input was
+            decision = agent.step(k, y, j - newest)
+            if decision.u is not None:
+                commands[k + s] = decision.u
+                due[k + s] = k + s + int(rng.choice(4, p=[0.4, 0.2, 0.2, 0.2]))
+        k += 1
+    controller = agent.controller
+    assert controller.missing() == "" or "unbroken" in controller.missing()
+    clean_plant, clean = plant_and_agent(s, seed)
+    run_loop(clean, clean_plant, 120)
+    assert controller.rank == clean.controller.rank  # a false sample would raise it
+    assert controller.gap > 1e6
+
+
 def agent_for(plant, **changes):
     limits = {"q": plant.prior.q, "u_min": plant.input_min, "u_max": plant.input_max}
     agent = Agent(

@@ -77,6 +77,27 @@ def test_held_inputs_are_taken_as_they_acted():
     assert report.r_controllability.verdict is Verdict.PROVED
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_a_late_command_is_taken_as_it_acted(seed):
+    rng = np.random.Generator(np.random.PCG64(seed))
+    commanded = excitation(120, seed)
+    due = np.arange(120) + rng.choice(4, 120, p=[0.7, 0.1, 0.1, 0.1]) * (np.arange(120) > 0)
+    used = [max(i for i in range(k + 1) if due[i] <= k) for k in range(120)]
+    outputs = stream(commanded[used])
+    live = LiveMonitor(PRIOR, window=200, period=120)
+    jobs = []
+    for k in range(120):  # the monitor hears a command when the plant does
+        for i in np.flatnonzero(due == k):
+            jobs += live.input(int(i), [commanded[i]])
+        jobs += live.output(k, outputs[k], held=k - used[k])
+    (job,) = jobs
+    ((u, _),) = job.records
+    assert u[:, 0].tolist() == commanded[used].tolist()
+    report = live.analyse(job).report
+    assert report.rank == report.rank_need
+    assert report.r_controllability.verdict is Verdict.PROVED
+
+
 def test_lost_excitation_is_never_a_stale_proof():
     inputs = np.concatenate([excitation(40), np.full(80, 0.5)])
     reports = feed(LiveMonitor(PRIOR, window=40, period=20), inputs, stream(inputs))

@@ -100,6 +100,7 @@ class Agent:
         self._modes: dict[int, tuple[complex, ...]] = {}  # reported as out of the inputs' reach, by sample
         self._predicted: tuple[int, Array] | None = None  # the sample it is for, and the outputs
         self._commands: dict[int, Array] = {}
+        self._acted: dict[int, Array] = {}  # inputs that did act, by the plant's own word: a late command acts later
         self._next: int | None = None  # outputs expected next
         self._aligned = False  # the controller knows the inputs that follow its last sample
         self._rich = False  # the data have sufficed before
@@ -224,10 +225,14 @@ class Agent:
         """Gives the sample to the controller; where anything is missing, a new record begins."""
         s = self.settings.s
         newest = k + s - 1
-        applied = self._commands.get(newest - held)
+        acted = self._commands.get(newest - held)
+        if acted is not None:
+            self._acted[newest] = acted
+        if k == 0 and held == 0:  # nothing earlier could be held
+            self._acted |= {j: self._commands[j] for j in range(newest) if j in self._commands}
         gap = 0 if self._next is None else k - self._next
         d = self.disturbances.at(k) if self.settings.disturbances else None
-        known = applied is not None and all(j in self._commands for j in range(k, newest))
+        known = all(j in self._acted for j in range(k, newest + 1))
         known &= d is not None or not self.settings.disturbances
         if gap or not known:
             self.lost += gap + (not known)
@@ -235,14 +240,12 @@ class Agent:
             self._aligned = False
             if gap > self.safety.max_gap and self.mode in (Mode.CONTROLLING, Mode.HOLDING):
                 self._fall_back(f"{gap} samples were lost at once, more than {self.safety.max_gap} are not bridged")
-        if not known:
-            return
-        assert applied is not None  # known says so
-        self._commands[newest] = applied
-        for j in [newest] if self._aligned else range(k, newest + 1):
-            self.controller.commit(self._commands[j])
-        self.controller.observe(self._commands[k], y, d)
-        self._aligned = True
+        if known:
+            for j in [newest] if self._aligned else range(k, newest + 1):
+                self.controller.commit(self._acted[j])
+            self.controller.observe(self._acted[k], y, d)
+            self._aligned = True
+        self._acted = {j: u for j, u in self._acted.items() if j >= k}
 
     def _trouble(self, k: int, y: ArrayLike) -> str:
         """What is wrong with the outputs while the controller is responsible for them; empty if nothing."""
@@ -283,7 +286,7 @@ class Agent:
     def _choose(self, k: int, result: StepResult | None) -> Array | None:
         """The input u(k+s) for the mode the sample ended in."""
         ahead = k + self.settings.s
-        last = self._commands.get(ahead - 1)
+        last = self._in_force(ahead - 1)
         if self.mode is Mode.SHADOW or (self.mode is Mode.FALLBACK and self.safety.fallback == "release"):
             return None
         if self.mode is Mode.FALLBACK:
@@ -293,6 +296,10 @@ class Agent:
         if self.mode is Mode.HOLDING and last is not None:
             return self._command(ahead, last)
         return self._command(ahead, self._excite())
+
+    def _in_force(self, k: int) -> Array | None:
+        """What acts at k; where the plant has not told, what was commanded."""
+        return self._acted.get(k, self._commands.get(k))
 
     def _retreat(self, last: Array) -> Array:
         """The fallback's next input: the last one again, or a step of the ramp to the safe one."""

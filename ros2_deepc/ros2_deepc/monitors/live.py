@@ -78,7 +78,8 @@ class LiveMonitor:
         L: int | None = None,
     ) -> None:
         self.prior, self.window, self.period, self.noise, self.L = prior, window, period, noise, L
-        self._inputs: dict[int, Array] = {}
+        self._commands: dict[int, Array] = {}
+        self._inputs: dict[int, Array] = {}  # those that did act, by the plant's own word: a late command acts later
         self._waiting: deque[tuple[int, Array, int]] = deque()
         self._outputs: deque[tuple[int, Array]] = deque(maxlen=window)
         self._starts: set[int] = set()  # outputs with which a record begins
@@ -89,7 +90,7 @@ class LiveMonitor:
 
     def input(self, k: int, u: ArrayLike) -> list[Job]:
         """Takes the input commanded for k, shape (m,); returns the analyses that are due."""
-        self._inputs[k] = np.array(u, dtype=np.float64)
+        self._commands[k] = np.array(u, dtype=np.float64)
         return self._drain()
 
     def output(self, k: int, y: ArrayLike, held: int = 0) -> list[Job]:
@@ -137,26 +138,30 @@ class LiveMonitor:
         while self._waiting:
             k, y, held = self._waiting[0]
             newest = k + self.prior.s - 1
-            applied = self._inputs.get(newest - held)
-            if applied is None and len(self._waiting) <= _PATIENCE:
+            acted = self._commands.get(newest - held)
+            if acted is None and len(self._waiting) <= _PATIENCE:
                 break
             self._waiting.popleft()
-            self._take(k, y, newest, applied)
+            if acted is not None:
+                self._inputs[newest] = acted
+            if k == 0 and held == 0:  # nothing earlier could be held
+                self._inputs |= {j: self._commands[j] for j in range(newest) if j in self._commands}
+            self._take(k, y)
             if (k + 1) % self.period == 0 and self._outputs:
                 due.append(Job(k, self.records()))
         return due
 
-    def _take(self, k: int, y: Array, newest: int, applied: Array | None) -> None:
+    def _take(self, k: int, y: Array) -> None:
         """Adds outputs k to the window; they begin a record if anything before them is missing."""
-        whole = applied is not None and all(j in self._inputs for j in range(k, newest))
+        whole = all(j in self._inputs for j in range(k, k + self.prior.s))
         if k != self._next or not whole:
             self._starts.add(k if whole else k + 1)
         self._next = k + 1
-        if applied is not None and whole:
-            self._inputs[newest] = applied
+        if whole:
             self._outputs.append((k, y))
         oldest = self._outputs[0][0] if self._outputs else k
         _forget(self._inputs, oldest)
+        _forget(self._commands, oldest)
         self._starts = {start for start in self._starts if start >= oldest}
 
     def _settle(self, k: int, report: Report) -> Report:
