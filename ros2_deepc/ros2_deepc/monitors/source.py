@@ -4,9 +4,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,52 +17,15 @@ from ros2_deepc.behavior.hankel import as_signal
 from .compress import Array, Compression, compress, excites, triangle
 
 
-class Source(Protocol):
-    """Data in scaled units, from which windows of any length can be cut."""
-
-    @property
-    def m(self) -> int:
-        """Inputs."""
-
-    @property
-    def p(self) -> int:
-        """Outputs."""
-
-    @property
-    def samples(self) -> int:
-        """Outputs held."""
-
-    @property
-    def y_scale(self) -> Array:
-        """Output units per scaled unit, shape (p,)."""
-
-    def columns(self, L: int, d: int, past: int = 0) -> int:
-        """Columns of the window (L, d, past)."""
-
-    def window(self, L: int, d: int, past: int = 0) -> Compression:
-        """Compresses [H_d(u); H_{L+1}(y)], with `past` block rows of inputs before them as instruments if positive."""
-
-    def wide(self, order: int) -> bool:
-        """Whether there are as many columns of inputs as rows at that order: the first need of excitation."""
-
-    def exciting(self, order: int) -> bool:
-        """Whether the inputs are persistently exciting of that order, all records together."""
-
-    def without_feedthrough(self, D: Array) -> Source:
-        """The same data with y - D u for y; D in the units of the data, shape (p, m)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Records:
-    """Unbroken records, each channel divided by its root mean square over all of them.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source(ABC):
+    """Data in scaled units, from which windows of any length can be cut.
 
     Attributes:
-        records: scaled; every record holds as many inputs beyond its outputs as were given.
         u_scale: input units per scaled unit, shape (m,).
         y_scale: output units per scaled unit, shape (p,).
     """
 
-    records: tuple[Record, ...]
     u_scale: Array
     y_scale: Array
 
@@ -75,6 +38,50 @@ class Records:
     def p(self) -> int:
         """Outputs."""
         return self.y_scale.size
+
+    @property
+    @abstractmethod
+    def samples(self) -> int:
+        """Outputs held."""
+
+    @abstractmethod
+    def columns(self, L: int, d: int, past: int = 0) -> int:
+        """Columns of the window (L, d, past)."""
+
+    @abstractmethod
+    def window(self, L: int, d: int, past: int = 0) -> Compression:
+        """Compresses [H_d(u); H_{L+1}(y)], with `past` block rows of inputs before them as instruments if positive."""
+
+    @abstractmethod
+    def wide(self, order: int) -> bool:
+        """Whether there are as many columns of inputs as rows at that order: the first need of excitation."""
+
+    @abstractmethod
+    def inputs(self, order: int) -> Array:
+        """A matrix with the Gram matrix of the inputs' Hankel matrix of that order, shape (m order, c)."""
+
+    def exciting(self, order: int) -> bool:
+        """Whether the inputs are persistently exciting of that order, all records together."""
+        return order < 1 or (self.wide(order) and excites(triangle(self.inputs(order))))
+
+    def without_feedthrough(self, D: Array) -> Source:
+        """The same data with y - D u for y; D in the units of the data, shape (p, m)."""
+        return self.subtract(D * self.u_scale / self.y_scale[:, None])
+
+    @abstractmethod
+    def subtract(self, D: Array) -> Source:
+        """The same data with y - D u for y; D in scaled units, shape (p, m)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Records(Source):
+    """Unbroken records, each channel divided by its root mean square over all of them.
+
+    Attributes:
+        records: scaled; every record holds as many inputs beyond its outputs as were given.
+    """
+
+    records: tuple[Record, ...]
 
     @property
     def samples(self) -> int:
@@ -93,50 +100,33 @@ class Records:
         W = data_matrix([Record(r.u, r.y[past:]) for r in self.records], past + d, L + 1)
         rows = self.m * past
         W[: self.m * (past + d)] = np.roll(W[: self.m * (past + d)], -rows, axis=0)
-        pieces = [Records((r,), self.u_scale, self.y_scale).columns(L, d, past) for r in self.records]
+        pieces = [replace(self, records=(r,)).columns(L, d, past) for r in self.records]
         return compress(W, self.m, self.p, L, W.shape[1], rows, pieces)
 
     def wide(self, order: int) -> bool:
         """Whether there are as many columns of inputs as rows at that order."""
         return sum(max(0, len(r.u) - order + 1) for r in self.records) >= self.m * order
 
-    def exciting(self, order: int) -> bool:
-        """Whether the inputs are persistently exciting of that order, all records together."""
-        if order < 1 or not self.wide(order):
-            return order < 1
-        return excites(triangle(np.hstack([hankel(r.u, order) for r in self.records if len(r.u) >= order])))
+    def inputs(self, order: int) -> Array:
+        """The inputs' Hankel matrix, records side by side."""
+        return np.hstack([hankel(r.u, order) for r in self.records if len(r.u) >= order])
 
-    def without_feedthrough(self, D: Array) -> Records:
+    def subtract(self, D: Array) -> Records:
         """The same data with y - D u for y."""
-        scaled = D * self.u_scale / self.y_scale[:, None]
-        return replace(self, records=tuple(Record(r.u, r.y - r.u[: len(r.y)] @ scaled.T) for r in self.records))
+        return replace(self, records=tuple(Record(r.u, r.y - r.u[: len(r.y)] @ D.T) for r in self.records))
 
 
-@dataclass(frozen=True, slots=True)
-class Factor:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Factor(Source):
     """A matrix with the Gram matrix of a time-major Hankel matrix of w = (u, y), scaled like `Records`.
 
     Attributes:
         F: shape (depth, m+p, c).
         held: columns of the Hankel matrix before its compression.
-        u_scale: input units per scaled unit, shape (m,).
-        y_scale: output units per scaled unit, shape (p,).
     """
 
     F: Array
     held: int
-    u_scale: Array
-    y_scale: Array
-
-    @property
-    def m(self) -> int:
-        """Inputs."""
-        return self.u_scale.size
-
-    @property
-    def p(self) -> int:
-        """Outputs."""
-        return self.y_scale.size
 
     @property
     def samples(self) -> int:
@@ -151,25 +141,21 @@ class Factor:
         """Compresses [H_d(u); H_{L+1}(y)]; instruments need the records themselves."""
         if past or not self.columns(L, d):
             raise ValueError(f"a factor of depth {len(self.F)} has no window of L = {L}, d = {d}, past = {past}")
-        inputs, outputs = self.F[:d, : self.m], self.F[: L + 1, self.m :]
-        W = np.concatenate([inputs.reshape(d * self.m, -1), outputs.reshape((L + 1) * self.p, -1)])
+        W = np.concatenate([self.inputs(d), self.F[: L + 1, self.m :].reshape((L + 1) * self.p, -1)])
         return compress(W, self.m, self.p, L, self.held)
 
     def wide(self, order: int) -> bool:
         """Whether there are as many columns of inputs as rows at that order; never beyond the depth of the factor."""
         return order <= len(self.F) and self.F.shape[2] >= order * self.m
 
-    def exciting(self, order: int) -> bool:
-        """Whether the inputs are persistently exciting of that order."""
-        if order < 1 or not self.wide(order):
-            return order < 1
-        return excites(triangle(self.F[:order, : self.m].reshape(order * self.m, -1)))
+    def inputs(self, order: int) -> Array:
+        """The rows of the inputs."""
+        return self.F[:order, : self.m].reshape(order * self.m, -1)
 
-    def without_feedthrough(self, D: Array) -> Factor:
+    def subtract(self, D: Array) -> Factor:
         """The same data with y - D u for y."""
-        scaled = D * self.u_scale / self.y_scale[:, None]
         F = self.F.copy()
-        F[:, self.m :] -= np.einsum("pm,tmc->tpc", scaled, F[:, : self.m])
+        F[:, self.m :] -= np.einsum("pm,tmc->tpc", D, F[:, : self.m])
         return replace(self, F=F)
 
 
@@ -190,7 +176,8 @@ def from_records(records: Sequence[tuple[ArrayLike, ArrayLike]], s: int) -> Reco
     if len(shapes) != 1 or 0 in next(iter(shapes)):
         raise ValueError(f"all records need the same (m, p), both at least 1, got {sorted(shapes)}")
     u_scale, y_scale = _rms([r.u for r in checked]), _rms([r.y for r in checked])
-    return Records(tuple(Record(r.u / u_scale, r.y / y_scale) for r in checked), u_scale, y_scale)
+    scaled = tuple(Record(r.u / u_scale, r.y / y_scale) for r in checked)
+    return Records(records=scaled, u_scale=u_scale, y_scale=y_scale)
 
 
 def from_factor(factor: ArrayLike, m: int, p: int, columns: int) -> Factor:
@@ -213,7 +200,7 @@ def from_factor(factor: ArrayLike, m: int, p: int, columns: int) -> Factor:
     blocks = F.reshape(-1, m + p, F.shape[1])
     scale = np.sqrt(np.sum(blocks**2, axis=(0, 2)) / (max(columns, 1) * len(blocks)))
     scale = np.where(scale > 0, scale, 1.0)
-    return Factor(blocks / scale[:, None], columns, scale[:m], scale[m:])
+    return Factor(F=blocks / scale[:, None], held=columns, u_scale=scale[:m], y_scale=scale[m:])
 
 
 def _rms(parts: list[Array]) -> Array:
