@@ -1,10 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A tag map, a field in memory that keeps time by hand, and free ports."""
+"""A tag map, a field in memory that keeps time by hand, real fields in processes of their own, and how to wait."""
 
+import asyncio
+import os
 import socket
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -146,9 +153,41 @@ def coarse(make_bench):
     return lambda: make_bench(TAGS.replace("by: scan,", "by: scan, poll: 0.025,"))
 
 
-@pytest.fixture
+DEADLINE = 60.0  # [s] for anything that must happen; only a hung test needs it
+_GLANCE = 0.002  # [s]
+
+
+@pytest.fixture(scope="session")
+def until():
+    """Waits for a condition and returns what it returned; ``why`` explains a missed deadline."""
+
+    def wait(condition, why=lambda: "", seconds=DEADLINE):
+        end = time.monotonic() + seconds
+        while not (found := condition()):
+            assert time.monotonic() < end, why()
+            time.sleep(_GLANCE)
+        return found
+
+    return wait
+
+
+@pytest.fixture(scope="session")
+def soon():
+    """As ``until``, for coroutines."""
+
+    async def wait(condition, why=lambda: "", seconds=DEADLINE):
+        end = time.monotonic() + seconds
+        while not (found := condition()):
+            assert time.monotonic() < end, why()
+            await asyncio.sleep(_GLANCE)
+        return found
+
+    return wait
+
+
+@pytest.fixture(scope="session")
 def free_port():
-    """A TCP port that nobody listens on."""
+    """Finds a TCP port that nobody listens on."""
 
     def find():
         with socket.socket() as probe:
@@ -156,3 +195,76 @@ def free_port():
             return probe.getsockname()[1]
 
     return find
+
+
+@pytest.fixture(scope="session")
+def served():
+    """`ros2-deepc field` in a process of its own, as a context manager; it writes the tag map ``tags``."""
+    command = Path(sys.executable).parent / "ros2-deepc"
+    passwords = {"FIELD_CONTROLLER_PASSWORD": "secret", "FIELD_VIEWER_PASSWORD": "look"}
+
+    @contextmanager
+    def start(plant, tags, *options):
+        arguments = [command, "field", plant, "--tags", tags, *map(str, options)]
+        child = subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, env=os.environ | passwords)
+        try:
+            assert any("Ctrl-C" in line for line in child.stdout), f"exit code {child.wait()}"
+            yield child
+        finally:
+            child.kill()
+            child.wait()
+            child.stdout.close()
+
+    return start
+
+
+class Relay:
+    """A TCP relay in front of a server; can be cut without either side being told, and keeps what went by.
+
+    Attributes:
+        heard: (from the client?, bytes), in order.
+    """
+
+    def __init__(self, port, target):
+        self.port, self.target, self.cut, self.heard = port, target, False, []
+        self._tasks = set()
+
+    async def start(self):
+        self.server = await asyncio.start_server(self._serve, "127.0.0.1", self.port)
+        return self
+
+    async def _serve(self, reader, writer):
+        try:
+            there, back = await asyncio.open_connection("127.0.0.1", self.target)
+        except OSError:
+            writer.close()
+            return
+        for asking, pair in ((True, (reader, back)), (False, (there, writer))):
+            task = asyncio.create_task(self._pump(asking, *pair))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _pump(self, asking, reader, writer):
+        try:
+            while data := await reader.read(65536):
+                if not self.cut:  # swallowed, as by a network that drops
+                    self.heard.append((asking, data))
+                    writer.write(data)
+        except OSError:
+            pass
+        finally:
+            writer.close()
+
+    async def stop(self):
+        self.server.close()
+        tasks = list(self._tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await self.server.wait_closed()
+
+
+@pytest.fixture(scope="session")
+def relay():
+    """Makes a relay from its port and that of the server."""
+    return Relay

@@ -1,7 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Against implementations that nobody here wrote: libmodbus, mbpoll, node-opcua. `packaging/peers.sh` installs them."""
+"""Against implementations that nobody here wrote: libmodbus, mbpoll, node-opcua, and tshark as the witness.
+
+`packaging/peers.sh` installs them; with PEERS=required in the environment none of these tests may be skipped.
+"""
 
 import asyncio
 import json
@@ -16,22 +19,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ros2_deepc.gateway import loads
+from ros2_deepc.gateway import LinkError, loads
 from ros2_deepc.gateway.assemble import Quality
 from ros2_deepc.gateway.field import Device, find_plant
 from ros2_deepc.gateway.link import make_link
 
+pytestmark = pytest.mark.peers
 HERE = Path(__file__).parent / "peers"
 MODULES = Path(os.environ.get("PEERS_NODE_MODULES", Path(__file__).parents[2] / "build" / "peers" / "node_modules"))
-needs_mbpoll = pytest.mark.skipif(not shutil.which("mbpoll"), reason="packaging/peers.sh installs mbpoll")
-needs_libmodbus = pytest.mark.skipif(
-    not (shutil.which("gcc") and Path("/usr/include/modbus/modbus.h").exists()),
-    reason="packaging/peers.sh installs libmodbus",
-)
-needs_node = pytest.mark.skipif(
-    not (shutil.which("node") and (MODULES / "node-opcua").exists()), reason="packaging/peers.sh installs node-opcua"
-)
 NODE_ENV = os.environ | {"NODE_PATH": str(MODULES), "NODE_OPTIONS": "--no-warnings"}
+
+
+def needs(there, name):
+    missing = not there and os.environ.get("PEERS") != "required"
+    return pytest.mark.skipif(missing, reason=f"{name} is not here: run packaging/peers.sh")
+
+
+needs_mbpoll = needs(shutil.which("mbpoll"), "mbpoll")
+needs_libmodbus = needs(shutil.which("gcc") and Path("/usr/include/modbus/modbus.h").exists(), "libmodbus")
+needs_node = needs(shutil.which("node") and (MODULES / "node-opcua").exists(), "node-opcua")
+needs_tshark = needs(shutil.which("tshark") and shutil.which("text2pcap"), "tshark")
 
 
 @contextmanager
@@ -47,26 +54,48 @@ def peer(*command, **kwargs):
         child.stdout.close()
 
 
-@contextmanager
-def running(field):
-    """A field in a thread of its own."""
+@pytest.fixture
+def running(until):
+    """A field in a thread of its own, as a context manager."""
     from ros2_deepc.gateway.loop_thread import LoopThread
 
-    failures = []
-    thread = LoopThread(failures.append)
-    thread.start(field.run())
-    end = time.monotonic() + 60
-    while field.device.count < 3 and not failures and time.monotonic() < end:
-        time.sleep(0.01)
-    assert not failures
-    try:
-        yield
-    finally:
-        thread.stop()
+    @contextmanager
+    def run(field):
+        failures = []
+        thread = LoopThread(failures.append)
+        thread.start(field.run())
+        until(lambda: field.device.count > 2 or failures)
+        assert not failures
+        try:
+            yield
+        finally:
+            thread.stop()
+
+    return run
+
+
+def visit(text, order, relay=None, folder="."):
+    """What a link reads after writing an order."""
+
+    async def talk():
+        if relay is not None:
+            await relay.start()
+        link = make_link(loads(text, f"{folder}/tags.yaml"))
+        try:
+            await link.connect()
+            await link.write(np.array(order))
+            await link.read()  # a device that works between two requests has copied what was written by now
+            return await link.read()
+        finally:
+            await link.close()
+            if relay is not None:
+                await relay.stop()
+
+    return asyncio.run(talk())
 
 
 @needs_mbpoll
-def test_mbpoll_reads_what_our_modbus_server_says(free_port):
+def test_mbpoll_reads_what_our_modbus_server_says(free_port, running):
     pytest.importorskip("pymodbus")
     from ros2_deepc.gateway.field_modbus import ModbusField
 
@@ -103,64 +132,53 @@ outputs:
 inputs:
   - {{name: u, unit: '', limits: [-9, 9], max_rate: 99, safe: 0, at: {{address: 3, type: float64}}}}
 """
-    link = make_link(loads(text))
-
-    async def talk():
-        await link.connect()
-        await link.write(np.array([0.1]))
-        await link.read()
-        scan = await link.read()
-        await link.close()
-        await asyncio.sleep(0.05)
-        return scan
-
     with peer(str(binary), str(port)):
-        scan = asyncio.run(talk())
+        scan = visit(text, [0.1])
     np.testing.assert_array_equal(scan.raw, [3.25, np.float32(-1e-3), 0.1])
 
 
-@needs_node
-def test_our_opcua_client_against_node_opcua(tmp_path, free_port):
-    pytest.importorskip("asyncua")
-    port = free_port()
-    text = f"""\
+NODE_TAGS = """\
 plant: {{name: n, sample_time: 0.1}}
-link: {{kind: opcua, url: 'opc.tcp://127.0.0.1:{port}', allow_insecure_loopback: true, timeout: 5}}
+link: {{kind: opcua, url: 'opc.tcp://127.0.0.1:{port}', {access}, timeout: 5}}
 outputs:
   - {{name: y1, unit: '', at: {{node: 'nsu=urn:peer;s=y1'}}}}
   - {{name: y2, unit: '', at: {{node: 'nsu=urn:peer;s=y2'}}}}
   - {{name: a, unit: '', count: 3, at: {{node: 'nsu=urn:peer;s=array'}}}}
   - {{name: back, unit: '', at: {{node: 'nsu=urn:peer;s=u1'}}}}
+  - {{name: set, unit: '', count: 2, at: {{node: 'nsu=urn:peer;s=setpoints'}}}}
 inputs:
   - {{name: u, unit: '', limits: [-9, 9], max_rate: 99, safe: 0, at: {{node: 'nsu=urn:peer;s=u1'}}}}
+  - {{name: v, unit: '', count: 2, limits: [-9, 9], max_rate: 99, safe: 0, at: {{node: 'nsu=urn:peer;s=setpoints'}}}}
 """
-    link = make_link(loads(text))
-
-    async def talk():
-        await link.connect()
-        await link.write(np.array([0.125]))
-        scan = await link.read()
-        await link.close()
-        await asyncio.sleep(0.05)
-        return scan
-
-    with peer("node", str(HERE / "server.js"), str(port), str(tmp_path), env=NODE_ENV):
-        scan = asyncio.run(talk())
-    np.testing.assert_array_equal(scan.raw, [3.25, -1e-3, 1.5, 2.5, 3.5, 0.125])
-    assert scan.quality.tolist() == [Quality.GOOD, Quality.UNCERTAIN, *[Quality.GOOD] * 4]
-    assert abs(scan.source_ns[0] - time.time_ns()) < 120e9
-
-
-def node_client(url, user, password, folder, *names):
-    out = subprocess.run(
-        ["node", HERE / "client.js", url, user, password, folder, *names],
-        capture_output=True, text=True, timeout=100, check=True, env=NODE_ENV,
-    ).stdout  # fmt: skip
-    return json.loads(out.strip().splitlines()[-1])
 
 
 @needs_node
-def test_node_opcua_as_client_of_our_server(tmp_path, free_port):
+def test_our_opcua_client_against_node_opcua(tmp_path, free_port, monkeypatch):
+    """Without encryption; then with it, as a user, after somebody trusted the server's certificate."""
+    pytest.importorskip("asyncua")
+    port = free_port()
+    order = [0.125, 7.0, -8.0]
+    read = [3.25, -1e-3, 1.5, 2.5, 3.5, *order]
+    user = NODE_TAGS.format(port=port, access="user: plc, password_env: PEER_PASSWORD")
+    with peer("node", str(HERE / "server.js"), str(port), str(tmp_path), env=NODE_ENV):
+        scan = visit(NODE_TAGS.format(port=port, access="allow_insecure_loopback: true"), order)
+        np.testing.assert_array_equal(scan.raw, read)
+        assert scan.quality.tolist() == [Quality.GOOD, Quality.UNCERTAIN, *[Quality.GOOD] * 6]
+        assert abs(scan.source_ns[0] - time.time_ns()) < 120e9
+
+        monkeypatch.setenv("PEER_PASSWORD", "open-sesame")
+        with pytest.raises(LinkError, match="not trusted"):
+            visit(user, order, folder=tmp_path / "site")
+        for certificate in (tmp_path / "site" / "pki" / "rejected").glob("*.der"):
+            certificate.rename(certificate.parents[1] / "trusted" / certificate.name)
+        np.testing.assert_array_equal(visit(user, -np.array(order), folder=tmp_path / "site").raw[-3:], [-0.125, -7, 8])
+        monkeypatch.setenv("PEER_PASSWORD", "guess")
+        with pytest.raises(LinkError, match=r"BadUserAccessDenied|BadIdentityTokenRejected"):
+            visit(user, order, folder=tmp_path / "site")
+
+
+@needs_node
+def test_node_opcua_as_client_of_our_server(tmp_path, free_port, running):
     pytest.importorskip("asyncua")
     from cryptography import x509
     from cryptography.hazmat.primitives.serialization import Encoding
@@ -180,20 +198,88 @@ def test_node_opcua_as_client_of_our_server(tmp_path, free_port):
     )
     url = f"opc.tcp://127.0.0.1:{free_port()}"
     field = OpcuaField(Device(plant), url, access, 0.1)
+    users = [("viewer", "look"), ("controller", "secret"), ("controller", "guess"), ("", "")]
     nodes = [f"{URI};s=out/x1", f"{URI};s=in/P12"]
     with running(field):
-        viewer = node_client(url, "viewer", "look", str(tmp_path), *nodes)
-        controller = node_client(url, "controller", "secret", str(tmp_path), *nodes)
-        stranger = node_client(url, "controller", "guess", str(tmp_path), *nodes)
-        anonymous = node_client(url, "", "", str(tmp_path), *nodes)
+        out = subprocess.run(
+            ["node", HERE / "client.js", url, tmp_path, json.dumps(users), *nodes],
+            capture_output=True, text=True, timeout=100, check=True, env=NODE_ENV,
+        ).stdout  # fmt: skip
         taken = field.server.get("in/P12")
+    viewer, controller, stranger, anonymous = json.loads(out.strip().splitlines()[-1])
     assert viewer["values"][0] == pytest.approx(field.device.y[0])
     assert abs(viewer["times"][0] - time.time() * 1e3) < 120e3
     assert all("BadUserAccessDenied" in status for status in viewer["writes"])
     assert "BadUserAccessDenied" in controller["writes"][0]
     assert controller["writes"][1] == "Good"
     assert taken == 0.5
-    assert stranger.get("error")
-    assert "values" not in stranger
-    assert anonymous.get("error")
-    assert "values" not in anonymous
+    for refused in (stranger, anonymous):
+        assert refused.get("error")
+        assert "values" not in refused
+
+
+def witnessed(heard, port, folder, *fields):
+    """What tshark makes of a session, one row a packet; columns: whether it is malformed, then ``fields``."""
+    dump = folder / "session.txt"
+    with dump.open("w") as file:
+        for asking, data in heard:
+            rows = (f"{i:06x} {data[i : i + 16].hex(' ')}" for i in range(0, len(data), 16))
+            file.write("\n".join(["I" if asking else "O", *rows]) + "\n")
+    pcap = folder / "session.pcap"
+    subprocess.run(["text2pcap", "-q", "-D", "-T", f"40000,{port}", dump, pcap], check=True, capture_output=True)
+    columns = [item for name in ("_ws.malformed", *fields) for item in ("-e", name)]
+    command = ["tshark", "-r", pcap, "-T", "fields", *columns]
+    if port != 502:
+        command += ["-d", f"tcp.port=={port},opcua"]
+    out = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return [line.split("\t") for line in out.splitlines()]
+
+
+@needs_tshark
+def test_tshark_reads_our_modbus_session(tmp_path, free_port, running, relay):
+    pytest.importorskip("pymodbus")
+    from ros2_deepc.gateway.field_modbus import ModbusField
+    from ros2_deepc.gateway.field_tags import modbus_places, tag_map
+
+    server, port, plant = free_port(), free_port(), find_plant("wscc9", {})
+    between = relay(port, server)
+    text = tag_map(plant, f"{{kind: modbus, host: 127.0.0.1, port: {port}}}", modbus_places("float32"),
+                   registered="wscc9", options={})  # fmt: skip
+    with running(ModbusField(Device(plant), "127.0.0.1", server, "float32", 0.01)):
+        visit(text, [0.25, -0.5, 1.0, 9.0], between)
+    rows = witnessed(
+        between.heard, 502, tmp_path, "modbus.func_code", "modbus.exception_code", "modbus.regval_uint16",
+        "mbtcp.prot_id", "modbus.reference_num", "modbus.word_cnt",
+    )  # fmt: skip
+    assert [row[1] for row in rows] == ["16", "16", "4", "4", "4", "4"]
+    assert not any(row[0] or row[2] for row in rows)
+    floats = [word for x in (0.25, -0.5, 1.0) for word in (np.float32(x).view(np.uint32) >> 16, 0)]
+    assert rows[0][3].split(",") == [str(int(word)) for word in (9, *floats)]
+    assert (rows[0][5], rows[0][6]) == ("0", "7")
+    assert all(row[4] == "0" for row in rows)
+
+
+@needs_tshark
+def test_tshark_reads_our_opcua_session(tmp_path, free_port, running, relay):
+    pytest.importorskip("asyncua")
+    from ros2_deepc.gateway.field_opcua import OpcuaField, opcua_places
+    from ros2_deepc.gateway.field_tags import tag_map
+    from ros2_deepc.gateway.opcua_server import Access
+
+    server, port, plant = free_port(), free_port(), find_plant("wscc9", {})
+    between = relay(port, server)
+    text = tag_map(plant, f"{{kind: opcua, url: 'opc.tcp://127.0.0.1:{port}', allow_insecure_loopback: true}}",
+                   opcua_places(plant), registered="wscc9", options={})  # fmt: skip
+    with running(OpcuaField(Device(plant), f"opc.tcp://127.0.0.1:{server}", Access(), 0.05)):
+        visit(text, [0.25, -0.5, 1.0, 9.0], between)
+    rows = witnessed(
+        between.heard, port, tmp_path, "opcua.servicenodeid.numeric", "opcua.Double", "opcua.nodeid.string"
+    )
+    services = [int(row[1]) for row in rows if row[1]]
+    assert not any(row[0] for row in rows)
+    write, read = 673, 631  # numeric ids of WriteRequest and ReadRequest, OPC 10000-6, Annex A
+    assert services.count(write) == 1
+    assert services.count(read) >= 3
+    values, nodes = next((row[2], row[3]) for row in rows if row[1] == str(write))
+    assert values == "0.25,-0.5,1"
+    assert nodes == "in/P12,in/P13,in/P23,beat"

@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from ..gateway.commands import HEADER, FieldOptions, run_field, run_gateway
 from ..gateway.commands import check as check_tags
@@ -27,10 +26,10 @@ def gateway(
     """
     if not check:
         raise typer.Exit(run_gateway(tags, namespace))
-    table = Table(*HEADER, box=None, padding=(0, 1))
-    for row in check_tags(tags):
-        table.add_row(*row)
-    Console().print(table, markup=False)
+    rows = [HEADER, *check_tags(tags)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        typer.echo("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
 
 def field(
@@ -44,9 +43,9 @@ def field(
     speed: Annotated[float, typer.Option(help="How many times faster than its own time it runs.", min=1e-6)] = 1.0,
     pki: Annotated[Path | None, typer.Option(help="OPC UA: folder of certificates; without it, no encryption.")] = None,
     tags: Annotated[Path | None, typer.Option(help="Write a tag map that fits to this file.")] = None,
-    steps: Annotated[int, typer.Option(help="Samples until it ends; 0 = endless.", min=0)] = 0,
+    number: Annotated[str, typer.Option("--type", help="Modbus: type of the numbers, e.g. float32.")] = "float64",
 ) -> None:
-    """Run a plant behind a Modbus or OPC UA server, to try the whole chain at home.
+    """Run a plant behind a Modbus or OPC UA server until Ctrl-C, to try the whole chain at home.
 
     Example:
       ros2-deepc field wscc9 --modbus --tags tags.yaml
@@ -65,7 +64,7 @@ def field(
         speed=speed,
         pki=pki,
         tags=tags,
-        steps=steps,
+        type=number,
     )
     console = Console()
     run_field(plant, options, lambda text: console.print(text, soft_wrap=True, highlight=False, markup=False))

@@ -5,16 +5,18 @@
 
 import asyncio
 import os
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from . import modbus_codec as codec
 from .assemble import Assembler, Quality, Scan
-from .errors import GatewayError, LinkError, MissingExtraError
+from .errors import GatewayError, LinkError
+from .extras import with_extra
 from .field import Device, find_plant
 from .link import make_link
 from .load import load
@@ -22,6 +24,7 @@ from .places import words
 from .tags import TagMap
 from .units import check_registered
 
+_PORTS = {"modbus": 5020, "opcua": 4840}
 Row = tuple[str, ...]
 HEADER: Row = ("tag", "direction", "place", "unit", "scaling", "limits", "value", "quality")
 
@@ -51,6 +54,11 @@ class FieldOptions:
     type: str = "float64"
     pki: Path | None = None
     tags: Path | None = None
+
+    @property
+    def listen(self) -> int:
+        """The TCP port."""
+        return self.port or _PORTS[self.protocol]
 
 
 def check(path: Path) -> list[Row]:
@@ -89,8 +97,6 @@ def _read_topics(tags: TagMap) -> Scan:
 
 def table(tags: TagMap, scan: Scan) -> list[Row]:
     """Every tag as resolved, with what was just read."""
-    import time
-
     vector = Assembler(tags).take(scan, 0.0, time.time_ns())
     rows: list[Row] = []
     for i, tag in enumerate(tags.reads):
@@ -147,9 +153,13 @@ def run_field(name: str, options: FieldOptions, say: Callable[[str], None] = pri
     if options.tags is not None:
         options.tags.write_text(text, encoding="utf-8")
         say(f"a tag map that fits: {options.tags}")
-    say(f"{plant.name} behind {options.protocol}, a scan every {period:g} s; in local control until a heartbeat comes")
+
+    def ready() -> None:
+        say(f"{plant.name} behind {options.protocol} on {options.host}:{options.listen}, a scan every {period:g} s")
+        say("in local control until a heartbeat comes; Ctrl-C ends it")
+
     try:
-        asyncio.run(server.run())
+        asyncio.run(server.run(ready))
     except KeyboardInterrupt:
         say("stopped")
 
@@ -158,15 +168,15 @@ def _server(name: str, options: FieldOptions, device: Device, period: float) -> 
     """The server and a tag map for it."""
     from . import field_tags
 
-    plant, port = device.plant, options.port or {"modbus": 5020, "opcua": 4840}[options.protocol]
+    plant, port = device.plant, options.listen
     common: dict[str, Any] = {"registered": name, "options": dict(options.options), "speed": options.speed}
     if options.protocol == "modbus":
         link = f"{{kind: modbus, host: {options.host}, port: {port}}}"
-        server = _module("field_modbus", "modbus", "pymodbus").ModbusField(
-            device, options.host, port, options.type, period
-        )
+        if options.type not in codec.TYPES:
+            raise GatewayError(f"--type {options.type}: there are {', '.join(codec.TYPES)}")
+        server = with_extra("modbus", "field_modbus").ModbusField(device, options.host, port, options.type, period)
         return server, field_tags.tag_map(plant, link, field_tags.modbus_places(options.type), **common)
-    module = _module("field_opcua", "opcua", "asyncua")
+    module = with_extra("opcua", "field_opcua")
     url = f"opc.tcp://{options.host}:{port}"
     security = "allow_insecure_loopback: true"
     if options.pki is not None:
@@ -188,12 +198,3 @@ def _access(module: Any, plant: Any, options: FieldOptions) -> Any:
     if "controller" not in users:
         raise GatewayError("set the environment variable FIELD_CONTROLLER_PASSWORD (and FIELD_VIEWER_PASSWORD)")
     return module.Access(users=users, writes={"controller": module.writable(plant)}, pki=options.pki)
-
-
-def _module(name: str, extra: str, package: str) -> Any:
-    try:
-        return import_module(f".{name}", __package__)
-    except ModuleNotFoundError as error:
-        if error.name and error.name.startswith("ros2_deepc"):
-            raise
-        raise MissingExtraError(extra, package) from None

@@ -13,6 +13,7 @@
 """
 
 import asyncio
+from collections.abc import Callable
 from contextlib import suppress
 
 from . import modbus_codec as codec
@@ -40,13 +41,14 @@ class ModbusField:
         self._server = ModbusServer(self.registers, host, port)
         self.registers.tables["holding"][FIRST_INPUT:] = codec.encode(device.safe, kind)
 
-    async def run(self) -> None:
-        """Listens and scans until cancelled.
+    async def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Listens, calls ``ready`` and scans until cancelled.
 
         Raises:
             GatewayError: if the port cannot be had.
         """
         await self._server.start()
+        ready()
         try:
             with suppress(asyncio.CancelledError):
                 await every(self._period, self._scan)

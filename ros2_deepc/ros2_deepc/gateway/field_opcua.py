@@ -48,8 +48,8 @@ class OpcuaField:
         self._inputs = [f"in/{name}" for name in device.plant.input_names]
         self._outputs = [f"out/{name}" for name in device.plant.output_names]
 
-    async def run(self) -> None:
-        """Listens and scans until cancelled.
+    async def run(self, ready: Callable[[], None] = lambda: None) -> None:
+        """Listens, calls ``ready`` and scans until cancelled.
 
         Raises:
             GatewayError: if the port cannot be had.
@@ -58,6 +58,7 @@ class OpcuaField:
         numbers |= dict.fromkeys(self._outputs, 0.0)
         numbers |= {name: float(safe) for name, safe in zip(self._inputs, self.device.safe, strict=True)}
         await self.server.start(numbers, writable(self.device.plant))
+        ready()
         try:
             with suppress(asyncio.CancelledError):
                 await every(self._period, self._scan)

@@ -3,15 +3,14 @@
 
 """What every protocol offers to the engine, and how one is chosen."""
 
-from importlib import import_module
-from typing import Any, Protocol
+from typing import Protocol
 
 from .assemble import Scan
-from .errors import GatewayError, MissingExtraError
+from .errors import GatewayError
+from .extras import with_extra
 from .tags import Array, TagMap
 
-_MODULES = {"modbus": ("modbus_link", "ModbusLink"), "opcua": ("opcua_link", "OpcuaLink")}
-_EXTRAS = {"modbus": ("modbus", "pymodbus"), "opcua": ("opcua", "asyncua")}
+_LINKS = {"modbus": ("modbus_link", "ModbusLink"), "opcua": ("opcua_link", "OpcuaLink")}
 
 
 class Link(Protocol):
@@ -43,14 +42,8 @@ def make_link(tags: TagMap) -> Link:
         MissingExtraError: if the protocol's package is not installed.
         GatewayError: if the protocol cannot be used from here.
     """
-    if tags.kind not in _MODULES:
+    if tags.kind not in _LINKS:
         raise GatewayError(f"{tags.file}: a link of kind {tags.kind} works inside the gateway's node only")
-    module, name = _MODULES[tags.kind]
-    try:
-        factory: Any = getattr(import_module(f".{module}", __package__), name)
-    except ModuleNotFoundError as error:
-        if error.name and error.name.startswith("ros2_deepc"):
-            raise
-        raise MissingExtraError(*_EXTRAS[tags.kind]) from None
-    link: Link = factory(tags)
+    module, name = _LINKS[tags.kind]
+    link: Link = getattr(with_extra(tags.kind, module), name)(tags)
     return link

@@ -21,12 +21,12 @@ import asyncio
 import os
 from contextlib import suppress
 from datetime import UTC, datetime
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from .core import Gateway, Outputs
-from .errors import GatewayError, MissingExtraError
+from .errors import GatewayError
+from .extras import with_extra
 from .tags import TagMap
 
 URI = "urn:ros2_deepc:mirror"
@@ -49,12 +49,7 @@ class Mirror:
     """
 
     def __init__(self, tags: TagMap) -> None:
-        try:
-            opcua: Any = import_module(".opcua_server", __package__)
-        except ModuleNotFoundError as error:
-            if error.name and error.name.startswith("ros2_deepc"):
-                raise
-            raise MissingExtraError("opcua", "asyncua") from None
+        opcua = with_extra("opcua", "opcua_server")
         serve = tags.serve
         assert serve is not None
         self._tags, self._wake = tags, asyncio.Event()

@@ -133,8 +133,9 @@ class OpcuaLink:
 
     async def _resolve(self, client: Client) -> None:
         """Node ids with namespaces by number, and whether they exist."""
+        namespaces = await self._tried(client.get_namespace_array())
         for text in (*self._read_ids, *(node for node, *_ in self._writes)):
-            self._nodes[text] = await self._node_id(client, text)
+            self._nodes[text] = self._node_id(namespaces, text)
         self._params = ua.ReadParameters(
             TimestampsToReturn=ua.TimestampsToReturn.Source,
             NodesToRead=[ua.ReadValueId(self._nodes[text], ua.AttributeIds.Value) for text in self._read_ids],
@@ -144,11 +145,12 @@ class OpcuaLink:
             if answer.StatusCode.value == ua.StatusCodes.BadNodeIdUnknown:
                 raise LinkError(f"{self._link.url}: there is no node {text}")
 
-    async def _node_id(self, client: Client, text: str) -> ua.NodeId:
+    def _node_id(self, namespaces: Any, text: str) -> ua.NodeId:
         if text.startswith("nsu="):
             uri, _, rest = text[4:].partition(";")
-            index = await self._tried(client.get_namespace_index(uri))
-            text = f"ns={index};{rest}"
+            if not isinstance(namespaces, list) or uri not in namespaces:
+                raise LinkError(f"{self._link.url}: there is no namespace {uri}; {namespaces}")
+            text = f"ns={namespaces.index(uri)};{rest}"
         try:
             return ua.NodeId.from_string(text)
         except UaError as error:

@@ -1,14 +1,14 @@
 // SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 // SPDX-License-Identifier: Apache-2.0
 //
-// node-opcua as client: client.js URL USER PASSWORD CERTIFICATE_FOLDER NODE..., prints one JSON line with the values read
-// and the status of writing 0.5 to each node. Without a user: anonymous and unencrypted.
+// node-opcua as client: client.js URL CERTIFICATE_FOLDER USERS NODE..., with USERS as JSON: [[user, password], ...]. An
+// empty user is anonymous and unencrypted. Prints one JSON list with, for each user, the values read and the status of
+// writing 0.5 to each node.
 const opcua = require("node-opcua");
 const path = require("path");
 
-async function main() {
-    const [url, user, password, folder, ...names] = process.argv.slice(2);
-    const options = { endpointMustExist: false, connectionStrategy: { maxRetry: 1 }, requestedSessionTimeout: 20000 };
+async function visit(url, folder, user, password, names) {
+    const options = { endpointMustExist: false, connectionStrategy: { maxRetry: 0 }, requestedSessionTimeout: 20000 };
     if (user) {
         options.securityMode = opcua.MessageSecurityMode.SignAndEncrypt;
         options.securityPolicy = opcua.SecurityPolicy.Basic256Sha256;
@@ -45,7 +45,14 @@ async function main() {
         result.error = error.message;
     }
     await client.disconnect().catch(() => undefined);
-    console.log(JSON.stringify(result));
+    return result;
+}
+
+async function main() {
+    const [url, folder, users, ...names] = process.argv.slice(2);
+    const results = [];
+    for (const [user, password] of JSON.parse(users)) results.push(await visit(url, folder, user, password, names));
+    console.log(JSON.stringify(results));
     process.exit(0);
 }
 main();
