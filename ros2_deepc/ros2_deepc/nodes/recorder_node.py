@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from ..bags.background import BackgroundWriter
@@ -35,6 +36,7 @@ PARAMETERS = (
     ),
 )
 
+_LOOK = 0.5  # [s] between two looks at how the writing goes
 _PATIENCE = 5.0  # [s] for the last messages, when others go on publishing
 _WAIT = 60.0  # [s] that a loop in lockstep waits for the disk; one in real time does not wait
 _MEDIA = {".yaml": "application/yaml", ".json": "application/json", ".xml": "application/xml", ".png": "image/png"}
@@ -69,7 +71,7 @@ class RecorderNode(ManagedNode):
         self._bag: BackgroundWriter | None = None
         self._known: set[str] = set()
         self._lockstep, self._met = False, False
-        self._told: tuple[str, int] = ("", 0)  # trouble that was reported: failure and number of lost messages
+        self._told: tuple[bytes, str] | None = None  # trouble that was reported
 
     def configure(self) -> None:
         """Opens the bag and subscribes."""
@@ -90,6 +92,8 @@ class RecorderNode(ManagedNode):
                 topic.type, topic.name, self._writes(topic), _subscription_qos(topic), raw=True
             )
             self.resources.callback(self.destroy_subscription, tap)
+        look = self.create_timer(_LOOK, self._tell, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.resources.callback(self.destroy_timer, look)
 
     def drained(self) -> bool:
         """Whether nothing has arrived for a while, or others just go on, so that the bag may be closed."""
@@ -150,15 +154,14 @@ class RecorderNode(ManagedNode):
         self._bag.write(name, data, now, patience=_WAIT if self._lockstep else 0.0)
         self.messages += 1
         self._last_message = time.monotonic()
-        self._tell(self._bag)
 
-    def _tell(self, bag: BackgroundWriter) -> None:
-        trouble, state = _trouble(bag), (bag.failure, bag.lost)
-        if trouble is None or state == self._told:
-            return
-        self._told = state
-        self.get_logger().error(trouble[1], throttle_duration_sec=5.0)
-        self._diagnostics.report(*trouble, {"lost": bag.lost})
+    def _tell(self) -> None:
+        """Says what is wrong with the recording, once."""
+        trouble = self._bag and _trouble(self._bag)
+        if trouble and trouble != self._told:
+            self._told = trouble
+            self.get_logger().error(trouble[1])
+            self._diagnostics.report(*trouble)
 
     def _add(self, name: str, topic: topics.Topic) -> None:
         assert self._bag is not None
