@@ -25,6 +25,7 @@ from .plant import Plant
 from .plant_file import load
 
 GROUP = "ros2_deepc.plants"
+_AHEAD = 1000  # samples that inputs may be early: what waits for its tick must not grow without end
 
 PARAMETERS = (
     Param("plant", "wscc9", "name of a registered plant (`ros2-deepc plants` lists them), or a plant's YAML file"),
@@ -205,14 +206,17 @@ class PlantNode(ManagedNode):
             reason = f"epoch {msg.epoch} instead of {self._epoch}"
         if not reason and (msg.k != self._k if self._lockstep else msg.k < self._k):
             reason = f"inputs {msg.k} when {self._k} are expected"
+        if not reason and msg.k > self._k + _AHEAD:
+            reason = f"inputs {msg.k} are too far ahead of {self._k}"
         if reason:
-            self.refused += 1
-            self.get_logger().warning(f"inputs refused: {reason}", throttle_duration_sec=5.0)
+            self._refuse(reason)
             return
         u = np.array(msg.values)
         if self._lockstep:
             self._step(u)
             return
+        if int(msg.k) in self._pending:
+            self._refuse(f"inputs {msg.k} came again before their tick, the newest count")
         self._pending[int(msg.k)] = u
         if self._timer is None:
             self._start_ns = self.get_clock().now().nanoseconds
@@ -221,10 +225,13 @@ class PlantNode(ManagedNode):
                 self._period / 1e9 / self.p["speed"], self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME)
             )
 
+    def _refuse(self, reason: str) -> None:
+        self.refused += 1
+        self.get_logger().warning(f"inputs refused: {reason}", throttle_duration_sec=5.0)
+
     def _tick(self) -> None:
         u = self._pending.pop(self._k, None)
         if u is None:
-            assert self._last is not None
             self.held_samples += 1
             u = self._hold(self._last)
         else:
@@ -240,9 +247,9 @@ class PlantNode(ManagedNode):
                 self.get_logger().warning(f"k = {self._k}: {status}", throttle_duration_sec=1.0)
             self._diagnostics.report(WARN if status else OK, status or "running", {"k": self._k})
 
-    def _hold(self, last: np.ndarray) -> np.ndarray:
-        """The input of a tick for which none came."""
-        if self._held == Sample.OWN_INPUT or self._held >= self.p["hold"]:
+    def _hold(self, last: np.ndarray | None) -> np.ndarray:
+        """The input of a tick for which none came; None: no input has ever come."""
+        if last is None or self._held == Sample.OWN_INPUT or self._held >= self.p["hold"]:
             if self._held != Sample.OWN_INPUT:
                 self.get_logger().error(f"no inputs for {self._held + 1} samples: the plant goes to its safe input")
             self._held = Sample.OWN_INPUT
