@@ -11,10 +11,12 @@ import typer
 from rich.console import Console
 
 from ..dashboard import Dashboard
+from ..demo import explained
 from ..nodes.config import ROLES, load, merged, node_class, text_of, validate
 from ..nodes.stack import running
 from ..ros.parameters import ConfigError
 from ..ros.run import EXECUTORS, on_signal, run_node
+from .record import MaxDuration, MaxSize
 
 
 def run(
@@ -24,11 +26,15 @@ def run(
         typer.Option(help="Only one node: plant, controller, monitor, operator or recorder. Default: all in the YAML."),
     ] = "",
     record: Annotated[Path | None, typer.Option(help="Record every topic into this folder.")] = None,
+    max_size: MaxSize = 0.0,
+    max_duration: MaxDuration = 0.0,
     namespace: Annotated[str, typer.Option(help="Namespace of the zone.")] = "/",
     executor: Annotated[str, typer.Option(help="events (fast) or single (the classic wait set).")] = "events",
     processes: Annotated[bool, typer.Option("--processes", help="One process a node instead of one for all.")] = False,
 ) -> None:
     """Run a zone until Ctrl-C, SIGTERM, or the end of a plant that has one.
+
+    Without a plant in the YAML, the zone waits for one from elsewhere: your own node, or `ros2-deepc gateway`.
 
     Examples:
       ros2-deepc run zone.yaml --record today
@@ -38,24 +44,27 @@ def run(
         raise ValueError(f"--executor {executor}: choose one of {', '.join(EXECUTORS)}")
     parameters = load(config)
     if record is not None:
-        parameters = merged(parameters, {"recorder": {"folder": str(record)}})
+        recorder = {"folder": str(record), "max_size": max_size, "max_duration": max_duration}
+        parameters = merged(parameters, {"recorder": recorder})
     elif not role:
         parameters.pop("recorder", None)  # nothing said where to
     validate(parameters)
     if role:
         _one(role, parameters, namespace, executor)
         return
-    info = node_class("plant").info(parameters["plant"])  # type: ignore[attr-defined]
-    for name, values in parameters.items():
-        node_class(name).check(values, info)
-    steps = int(parameters["plant"].get("steps", 0))
+    title, steps = config.stem, 0
+    if "plant" in parameters:
+        info = node_class("plant").info(parameters["plant"])  # type: ignore[attr-defined]
+        for name, values in parameters.items():
+            node_class(name).check(values, info)
+        title, steps = info.name, int(parameters["plant"].get("steps", 0))
     roles = [name for name in ("recorder", "monitor", "controller", "operator", "plant") if name in parameters]
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "parameters.yaml"
-        file.write_text(text_of(parameters), encoding="utf-8")
+        file.write_text(text_of(explained(parameters, Path(folder))), encoding="utf-8")
         with (
             running(roles, file, namespace=namespace, executor=executor, processes=processes) as stack,
-            Dashboard(Console(), stack.observer, steps, info.name) as board,
+            Dashboard(Console(), stack.observer, steps, title) as board,
             on_signal(stack.spinner.wake) as signals,
         ):
             seen = stack.observer
@@ -67,7 +76,7 @@ def run(
             seen.on_change = lambda: stack.spinner.wake() if done() else None
             stack.spinner.until(done, board.draw)
             why = stack.failure()
-            stack.finish()
+            why = why or stack.finish()
     if why:
         raise RuntimeError(why)
 

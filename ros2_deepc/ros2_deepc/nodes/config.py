@@ -97,9 +97,8 @@ def parse(text: str, name: str) -> Parameters:
                 "with everything under ros__parameters"
             )
         parameters[role] = dict(body["ros__parameters"] or {})
-    missing = {"plant", "controller"} - set(parameters)
-    if missing:
-        raise ConfigError(f"{name}: no section for {' and '.join(sorted(missing))}")
+    if not parameters:
+        raise ConfigError(f"{name}: no section for any node: {', '.join('/**/' + r for r in ROLES)}")
     return parameters
 
 
