@@ -69,6 +69,15 @@ def test_held_input_is_the_one_in_force(make, tmp_path):
     np.testing.assert_array_equal(load_run(tmp_path / "bag").u, [[0, 0], [1, 1], [1, 1], [1, 1]])
 
 
+def test_with_index_two_the_outputs_before_tell_what_was_held(make, tmp_path):
+    info = make.plant_info()
+    info.s = 2
+    messages = [("plant_info", info), *(("inputs", make.sample(k, [k, k])) for k in range(7))]
+    messages += [("outputs", make.sample(k, [5, 5], held=int(k == 2))) for k in (0, 1, 2, 3, 5)]  # outputs 4 are lost
+    make.write_bag(tmp_path / "bag", messages)
+    np.testing.assert_array_equal(load_run(tmp_path / "bag").u[:, 0], [0, 1, 2, 2, np.nan])
+
+
 def test_missing_input_is_nan_and_not_in_the_hash(make, tmp_path):
     u, y, ref = make.simulate(20, 1, 10)
     messages = [m for m in make.run_messages(u, y, ref, 10) if not (m[0] == "inputs" and m[1].k == 5)]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .columns import Columns, first_rows, pick
+from .columns import NO_EPOCH, Columns, first_rows, pick
 from .errors import BagError
 from .reader import BagReader
 from .writer import RUN_METADATA
@@ -196,7 +196,8 @@ def _align(tables: Mapping[str, Columns], info: Any, last_report: Any, metadata:
     y_keys, u_keys, state_keys = outputs.keys(epochs), inputs.keys(epochs), state.keys(epochs)
     keys, rows = first_rows(y_keys)
     y, u_all = outputs.vectors()[rows], inputs.vectors()
-    held = np.nan_to_num(outputs.column("held"))[rows].astype(np.int64)
+    held = np.nan_to_num(outputs.column("held"))[rows]
+    acted = _acted(keys, np.array(outputs.k, dtype=np.int64)[rows], held, max(int(getattr(info, "s", 1)), 1))
     ahead, _ = first_rows(u_keys[u_keys > keys[-1]])
     ahead = ahead[np.cumprod(ahead == keys[-1] + 1 + np.arange(len(ahead))).astype(bool)]
     t, clock = _time(np.array(outputs.stamp, dtype=np.int64)[rows], keys, getattr(info, "sample_time", np.nan))
@@ -216,7 +217,7 @@ def _align(tables: Mapping[str, Columns], info: Any, last_report: Any, metadata:
         epoch=np.array(outputs.epoch, dtype=np.int64)[rows],
         k=np.array(outputs.k, dtype=np.int64)[rows],
         t=t,
-        u=pick(u_all, u_keys, keys - held),
+        u=pick(u_all, u_keys, acted),
         y=y,
         ref=_references(tables["reference"], state, epochs, keys, p),
         mode=mode.astype(np.uint8),
@@ -227,6 +228,12 @@ def _align(tables: Mapping[str, Columns], info: Any, last_report: Any, metadata:
         duplicates=len(y_keys) - len(keys) + len(u_keys) - len(np.unique(u_keys)),
         metadata=metadata,
     )
+
+
+def _acted(keys: NDArray[np.int64], k: NDArray[np.int64], held: Array, s: int) -> NDArray[np.int64]:
+    """Keys of the commands in force at k: outputs k-s+1 tell how old they were; before outputs 0 nothing is held."""
+    told = np.where(k < s - 1, 0.0, pick(held, keys, keys - (s - 1)))
+    return np.where(np.isnan(told), NO_EPOCH, keys - np.nan_to_num(told).astype(np.int64))
 
 
 def _time(stamp: NDArray[np.int64], keys: NDArray[np.int64], sample_time: float) -> tuple[Array, Clock]:
