@@ -21,6 +21,7 @@ from collections import deque
 from pathlib import Path
 
 import numpy as np
+from scipy.stats import theilslopes
 from threadpoolctl import threadpool_limits
 
 from plant_sim import wscc9
@@ -60,13 +61,13 @@ class Truth:
         samples = [(k, y) for k, y in self.y if k >= first]
         if not state.output_plan or len(samples) < PAST - 1:
             return None
-        O, forced, x = [], [], np.zeros(len(self.A))
+        seen, forced, x = [], [], np.zeros(len(self.A))
         power = np.eye(len(self.A))
         for k, y in samples:
-            O.append(self.C @ power)
+            seen.append(self.C @ power)
             forced.append(y - self.C @ x - self.D @ u[k])
             power, x = self.A @ power, self.A @ x + self.B @ u[k]
-        x = power @ np.linalg.lstsq(np.vstack(O), np.concatenate(forced), rcond=None)[0] + x
+        x = power @ np.linalg.lstsq(np.vstack(seen), np.concatenate(forced), rcond=None)[0] + x
         planned = np.reshape(state.output_plan, (-1, p))
         exact = np.empty_like(planned)
         for i, v in enumerate(np.reshape(state.input_plan, (len(planned), -1))):
@@ -146,7 +147,9 @@ def soak(steps, checks, *, record=False, domain_id=None, tell=lambda _line: None
             seen.on_change = check
             stack.spinner.until(over)
             if stack.failure():
-                raise SystemExit(f"the run broke down after {0 if seen.state is None else seen.state.k} samples: {stack.failure()}")
+                raise SystemExit(
+                    f"the run broke down after {0 if seen.state is None else seen.state.k} samples: {stack.failure()}"
+                )
             modes = seen.state.mode, seen.state.failures, seen.state.refused
     if modes != (seen.state.CONTROLLING, 0, 0):
         raise SystemExit(f"mode, failures, refused = {modes} at the end")
@@ -154,9 +157,12 @@ def soak(steps, checks, *, record=False, domain_id=None, tell=lambda _line: None
 
 
 def slope(rows):
-    """Growth of the memory after warm-up, by least squares [MB per 100 000 samples]."""
+    """Growth of the memory after warm-up [MB per 100 000 samples]: the median of the slopes between any two checks.
+
+    A leak shows in all of them; a pool that once grows by a step (DDS under load never gives one back) does not.
+    """
     late = rows[rows[:, 0] > WARM_UP * rows[-1, 0]]
-    return float(np.polyfit(late[:, 0] / 1e5, late[:, 1], 1)[0])
+    return float(theilslopes(late[:, 1], late[:, 0] / 1e5).slope)
 
 
 def main():
