@@ -3,8 +3,9 @@
 
 """The node that runs a plant: takes inputs, publishes outputs, in lockstep or in real time."""
 
+import math
+import time
 from collections.abc import Mapping
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +15,20 @@ from rclpy.clock import Clock, ClockType
 from rosgraph_msgs.msg import Clock as ClockMsg
 
 from ros2_deepc.ros import topics
+from ros2_deepc.ros.claim import Claimants, Owner
 from ros2_deepc.ros.convert import period_ns, refusal, sample, stamp
-from ros2_deepc.ros.diagnostics import OK, WARN, Diagnostics
+from ros2_deepc.ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from ros2_deepc.ros.health import Health
 from ros2_deepc.ros.lifecycle import ManagedNode
 from ros2_deepc.ros.parameters import ConfigError, Param
+from ros2_deepc.ros.plants import find_plant
 from ros2_deepc.ros.run import run_node
 
 from .describe import describe
 from .plant import Plant
 from .plant_file import load
 
-GROUP = "ros2_deepc.plants"
+_AHEAD = 1000  # samples for which inputs may come early
 _AHEAD = 1000  # samples that inputs may be early: what waits for its tick must not grow without end
 
 PARAMETERS = (
@@ -53,13 +57,10 @@ def make_plant(name: str, options: Mapping[str, str]) -> Plant:
     """
     if name.endswith((".yaml", ".yml")):
         return _from_file(Path(name), options)
-    found = {entry.name: entry for entry in entry_points(group=GROUP)}
-    if name not in found:
-        raise ConfigError(f"unknown plant {name!r}; there are: {', '.join(sorted(found))}")
     try:
-        plant: Plant = found[name].load()(**{key: _number(value) for key, value in options.items()})
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"plant {name}: {error}") from None
+        plant: Plant = find_plant(name, options)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
     return plant
 
 
@@ -87,18 +88,9 @@ def parse_options(options: list[str]) -> dict[str, str]:
     return pairs
 
 
-def _number(text: str) -> Any:
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
-
-
-def plant_info(plant: Plant, epoch: int, *, lockstep: bool) -> PlantInfo:
+def plant_info(plant: Plant, epoch: int, *, lockstep: bool, speed: float = 1.0) -> PlantInfo:
     """What a plant says of itself."""
-    info = PlantInfo(name=plant.name, variant=plant.variant, epoch=epoch, lockstep=lockstep)
+    info = PlantInfo(name=plant.name, variant=plant.variant, epoch=epoch, lockstep=lockstep, speed=speed)
     info.header.frame_id = plant.name
     info.sample_time = float(plant.sample_time)
     info.input_names, info.input_units = list(plant.input_names), list(plant.input_units)
@@ -124,6 +116,8 @@ class PlantNode(ManagedNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("plant", **kwargs)
         self.refused = 0
+        self.foreign = 0
+        """Inputs refused because another controller commands the plant; they count as refused, too."""
         self.held_samples = 0
 
     @staticmethod
@@ -159,6 +153,8 @@ class PlantNode(ManagedNode):
         self._outputs = self.advertise(topics.OUTPUTS, lockstep=lockstep, sample_time=Ts, readers=readers)
         self._clock_topic = self.advertise(topics.CLOCK) if lockstep else None
         self.subscribe(topics.INPUTS, self._on_inputs, lockstep=lockstep)
+        self._claimants = Claimants(self)
+        self.resources.callback(self._claimants.destroy)
         self._timer = None
         self._diagnostics = Diagnostics(self, self.plant.name)
         self.resources.callback(self._diagnostics.destroy)
@@ -173,8 +169,12 @@ class PlantNode(ManagedNode):
         self._last: np.ndarray | None = None
         self._held = 0
         self._pending: dict[int, np.ndarray] = {}
+        wall = 0.0 if self._lockstep else self.plant.sample_time / self.p["speed"]
+        self._owner, self._health = Owner(self._claimants, 2.0 * wall), Health(wall)
+        self._ticked = math.nan
         self._start_ns = self._period if self._lockstep else self.get_clock().now().nanoseconds
-        info = plant_info(self.plant, self._epoch, lockstep=self._lockstep)
+        speed = 1.0 if self._lockstep else self.p["speed"]
+        info = plant_info(self.plant, self._epoch, lockstep=self._lockstep, speed=speed)
         info.header.stamp = stamp(self._start_ns)
         self._info.publish(info)
         self.get_logger().info(f"{self.plant.name}: waiting for inputs 0 ({self.p['mode']})")
@@ -204,8 +204,10 @@ class PlantNode(ManagedNode):
         reason = refusal(msg, len(self.plant.input_names))
         if not reason and msg.epoch != self._epoch:
             reason = f"epoch {msg.epoch} instead of {self._epoch}"
-        if not reason and (msg.k != self._k if self._lockstep else msg.k < self._k):
+        if not reason and not (msg.k == self._k if self._lockstep else self._k <= msg.k < self._k + _AHEAD):
             reason = f"inputs {msg.k} when {self._k} are expected"
+        if not reason and (reason := self._owner.refusal(int(msg.sender))):
+            self.foreign += 1
         if not reason and msg.k > self._k + _AHEAD:
             reason = f"inputs {msg.k} are too far ahead of {self._k}"
         if reason:
@@ -230,22 +232,45 @@ class PlantNode(ManagedNode):
         self.get_logger().warning(f"inputs refused: {reason}", throttle_duration_sec=5.0)
 
     def _tick(self) -> None:
+        now = time.monotonic()
         u = self._pending.pop(self._k, None)
         if u is None:
+            assert self._last is not None
             self.held_samples += 1
+            self._health.overdue()
             u = self._hold(self._last)
         else:
             self._held = 0
+        gap, self._ticked = now - self._ticked, now
         self._step(u)
+        self._health.sample(gap, time.monotonic() - now, limited=False)
 
-    def _tell_status(self) -> None:
-        """What the plant says of its own state (a simulator's warnings, events) goes to the log and to /diagnostics."""
+    def _tell(self) -> None:
+        """How the plant is: what it says itself (a simulator's warnings, events), and whether it is commanded."""
         status = getattr(self._stepper, "status", "")
-        if status != self._status:
-            self._status = status
-            if status:
-                self.get_logger().warning(f"k = {self._k}: {status}", throttle_duration_sec=1.0)
-            self._diagnostics.report(WARN if status else OK, status or "running", {"k": self._k})
+        if status != self._status and status:
+            self.get_logger().warning(f"k = {self._k}: {status}", throttle_duration_sec=1.0)
+        self._status = status
+        alone = self._held == Sample.OWN_INPUT
+        words = ["nobody commands it: safe input"] if alone else self._health.complaints()
+        words = [status, *words] if status else words
+        level = ERROR if alone else WARN if words else OK
+        text = "; ".join(words) or "running"
+        if self._diagnostics.due(level, text):
+            self._diagnostics.report(level, text, self._numbers())
+
+    def _numbers(self) -> dict[str, Any]:
+        """What goes with the level."""
+        owner = self._owner.sender
+        return {
+            "k": self._k,
+            "commanded_by": "nobody" if owner is None else self._claimants.who(owner),
+            "refused": self.refused,
+            "foreign": self.foreign,
+            "held": self.held_samples,
+            "outputs_late": self._outputs.deadlines_missed,
+            **self._health.values(),
+        }
 
     def _hold(self, last: np.ndarray | None) -> np.ndarray:
         """The input of a tick for which none came; None: no input has ever come."""
@@ -266,10 +291,11 @@ class PlantNode(ManagedNode):
         self._last = u
         y = self._stepper.push(u)
         self._k += 1
-        self._tell_status()
+        self._tell()
         if y is not None:
             k = self._k - max(int(self.plant.prior.s), 1)
-            self._outputs.publish(sample(self.plant.name, self._epoch, k, y, self._time(k), self._held))
+            sender = 0 if self._held == Sample.OWN_INPUT else self._owner.sender or 0
+            self._outputs.publish(sample(self.plant.name, self._epoch, k, y, self._time(k), self._held, sender))
         if self.finished:
             self.get_logger().info(f"{self.plant.name}: {self._k} samples done")
 

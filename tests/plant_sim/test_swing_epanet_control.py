@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from plant_sim.epanet_plant import net3_epanet
-from plant_sim.plant_node import _number, parse_options, plant_info
+from plant_sim.plant_node import parse_options, plant_info
 from plant_sim.swing_plant import wscc9_swing
 from ros2_deepc.control import DeepcController
 from ros2_deepc.control.excitation import Excitation
@@ -19,6 +19,7 @@ from ros2_deepc.control.modes import Mode
 from ros2_deepc.monitors import Prior, Verdict, analyze
 from ros2_deepc.nodes.config import load, merged
 from ros2_deepc.nodes.controller_node import make_agent, settings_for
+from ros2_deepc.ros.plants import as_number
 
 CONFIG = Path(__file__).parents[2] / "launch_scripts" / "config"
 MAKERS = {"wscc9_swing": wscc9_swing, "net3_epanet": net3_epanet}
@@ -29,7 +30,7 @@ ONE = {"Q": [1.0], "trip_min": [6.5], "trip_max": [10.3]}
 def run(name, seed, options=None, **controller):
     """A shipped run with changes, without ROS."""
     parameters = merged(load(CONFIG / f"{name}.yaml"), {"controller": controller})
-    given = {key: _number(value) for key, value in parse_options(parameters["plant"]["options"]).items()}
+    given = {key: as_number(value) for key, value in parse_options(parameters["plant"]["options"]).items()}
     plant = MAKERS[name](**(given | (options or {})))
     agent = make_agent(parameters["controller"] | {"seed": seed}, plant_info(plant, 1, lockstep=True))
     for k, values in plant.references:

@@ -5,6 +5,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,7 @@ from .settings import DeepcSettings
 from .watch import Bounds, Watch
 
 Array = NDArray[np.float64]
+Leave = Literal["safe", "hold"]
 
 _EXCITATION_STREAM = 1  # the plant's own randomness is stream 0 of the same seed
 _KEPT = 1000  # commanded inputs that are remembered: how long a plant may hold one and still be understood
@@ -148,9 +150,45 @@ class Agent:
         u = self._choose(k, result)
         return Decision(k=k, u=u, mode=self.mode, reason=reason, reference=self.references.at(k), result=result)
 
+    def overdue(self, k: int) -> Decision:
+        """Outputs k have not come in time: decides u(k+s) without them, unless that was decided before.
+
+        They may still come. No input that was once given is changed afterwards, so what acts stays known.
+
+        Args:
+            k: index of the outputs that are missed, above that of the last ones.
+        """
+        missing = 0 if self._next is None else k + 1 - self._next
+        reason = f"no outputs for {missing} samples"
+        if self.mode is Mode.CONTROLLING:
+            self.mode, self._held = Mode.HOLDING, 0
+        if self.mode is Mode.HOLDING and missing > self.safety.max_gap:
+            self._fall_back(f"{reason}, more than {self.safety.max_gap} are not bridged")
+        if self.mode is Mode.FALLBACK:
+            reason = self._why
+        u = self._choose(k, None, blind=True)
+        return Decision(k=k, u=u, mode=self.mode, reason=reason, reference=self.references.at(k), result=None)
+
+    def leave(self, policy: Leave) -> tuple[int, Array] | None:
+        """The last input before the controller is stopped, with its index; None if none is to be given.
+
+        Args:
+            policy: "safe" gives the safe input, "hold" leaves the plant to the last one.
+        """
+        released = self.mode is Mode.FALLBACK and self.safety.fallback == "release"
+        if policy == "hold" or not self._commands or self.mode is Mode.SHADOW or released:
+            return None
+        k = max(self._commands) + 1
+        return k, self._command(k, self._safe)
+
+    def cut(self) -> None:
+        """The next sample does not follow the last one: no column of the data spans the two."""
+        self.controller.cut()
+        self._aligned = False
+
     def overhear(self, k: int, u: ArrayLike) -> None:
         """Somebody else commanded input k, shape (m,); in SHADOW these are the inputs that act."""
-        self._commands[k] = np.array(u, dtype=np.float64)
+        self._command(k, np.array(u, dtype=np.float64))
 
     def blame(self, k: int, modes: Iterable[complex]) -> None:
         """Modes that the inputs do not reach, as a monitor reports them: from outputs k on, until it reports others.
@@ -236,8 +274,7 @@ class Agent:
         known &= d is not None or not self.settings.disturbances
         if gap or not known:
             self.lost += gap + (not known)
-            self.controller.cut()
-            self._aligned = False
+            self.cut()
             if gap > self.safety.max_gap and self.mode in (Mode.CONTROLLING, Mode.HOLDING):
                 self._fall_back(f"{gap} samples were lost at once, more than {self.safety.max_gap} are not bridged")
         if known:
@@ -283,17 +320,19 @@ class Agent:
         self.mode, self._why, self._ramp = Mode.FALLBACK, why, None
         return why
 
-    def _choose(self, k: int, result: StepResult | None) -> Array | None:
-        """The input u(k+s) for the mode the sample ended in."""
+    def _choose(self, k: int, result: StepResult | None, *, blind: bool = False) -> Array | None:
+        """The input u(k+s) for the mode the sample ended in; without its outputs (blind) nobody excites."""
         ahead = k + self.settings.s
-        last = self._in_force(ahead - 1)
         if self.mode is Mode.SHADOW or (self.mode is Mode.FALLBACK and self.safety.fallback == "release"):
             return None
+        if ahead in self._commands:
+            return None  # decided while outputs were overdue
+        last = self._commands[max(self._commands)] if blind and self._commands else self._in_force(ahead - 1)
         if self.mode is Mode.FALLBACK:
             return self._command(ahead, self._retreat(self._safe if last is None else last))
         if self.mode is Mode.CONTROLLING and result is not None:
             return self._command(ahead, result.u)
-        if self.mode is Mode.HOLDING and last is not None:
+        if (blind or self.mode is Mode.HOLDING) and last is not None:
             return self._command(ahead, last)
         return self._command(ahead, self._excite())
 
@@ -311,7 +350,8 @@ class Agent:
 
     def _command(self, k: int, u: Array) -> Array:
         self._commands[k] = u
-        self._commands.pop(k - _KEPT, None)
+        if len(self._commands) > 2 * _KEPT:
+            self._commands = {j: v for j, v in self._commands.items() if j > k - _KEPT}
         return u
 
     def _excite(self) -> Array:

@@ -9,11 +9,11 @@ Plants are found by the entry point group `ros2_deepc.plants`, as everywhere.
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Mapping
-from importlib.metadata import entry_points
 from typing import Any, Protocol
 
 import numpy as np
 
+from ..ros import plants
 from .errors import GatewayError
 from .tags import Array
 
@@ -44,23 +44,11 @@ def find_plant(name: str, options: Mapping[str, str]) -> FieldPlant:
     Raises:
         GatewayError: for an unknown name or option.
     """
-    found = {entry.name: entry for entry in entry_points(group="ros2_deepc.plants")}
-    if name not in found:
-        raise GatewayError(f"unknown plant {name!r}; there are: {', '.join(sorted(found))}")
     try:
-        plant: FieldPlant = found[name].load()(**{key: _number(value) for key, value in options.items()})
-    except (TypeError, ValueError) as error:
-        raise GatewayError(f"plant {name}: {error}") from None
+        plant: FieldPlant = plants.find_plant(name, options)
+    except ValueError as error:
+        raise GatewayError(str(error)) from None
     return plant
-
-
-def _number(text: str) -> Any:
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
 
 
 class Device:

@@ -3,188 +3,46 @@
 
 """The controller: collects, then controls; publishes inputs and its state."""
 
+import json
 import math
+import time
 from collections.abc import Mapping
-from dataclasses import fields
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
-from deepc_msgs.msg import ControllerState, PlantInfo, Sample
+from deepc_msgs.msg import Change, MonitorReport, PlantInfo, Sample, Verdict
 from deepc_msgs.srv import SetMode
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from std_srvs.srv import Trigger
 
-from ..control import DeepcSettings, StepResult
 from ..control.agent import Agent, Decision
-from ..control.excitation import Signal
-from ..control.modes import FallbackPolicy, Mode, Safety
-from ..control.settings import (
-    LIVE,
-    Cut,
-    DataPolicy,
-    Form,
-    NoiseBlock,
-    Regression,
-    Solver,
-    Terminal,
-)
-from ..control.watch import Bounds
+from ..control.joined import Joined
+from ..control.modes import Mode
 from ..ros import topics
+from ..ros.claim import Claimants, Holder
 from ..ros.convert import nanoseconds, period_ns, refusal, sample
 from ..ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from ..ros.health import Health
 from ..ros.lifecycle import ManagedNode
-from ..ros.parameters import ConfigError, Param
+from ..ros.parameters import ConfigError
 from ..ros.publisher import PatientPublisher
 from ..ros.run import run_node
+from . import changes
+from .controller_settings import PARAMETERS, make_agent, settings_for
+from .controller_state import state_message
 
+__all__ = ["PARAMETERS", "ControllerNode", "make_agent", "settings_for", "state_message"]
 
-def _row(name: str, default: Any, description: str, unit: str = "", **bounds: Any) -> Param:
-    return Param(name, default, description, unit, live=name in LIVE, **bounds)
-
-
-PARAMETERS = (
-    _row(
-        "N",
-        6,
-        "past samples that fix the initial condition, at least the plant's lag",
-        "samples",
-        low=1,
-        high=1000,
-    ),
-    _row("L", 14, "prediction horizon", "samples", low=1, high=1000),
-    _row(
-        "T",
-        0,
-        "inputs in the data window; 0 = the least that Corollary 1 allows",
-        "samples",
-        low=0,
-        high=1_000_000,
-    ),
-    _row("q", 0, "prior: upper bound of the slow order; 0 = what the plant says", low=0, high=1000),
-    _row("s", 0, "prior: upper bound of the nilpotency index; 0 = what the plant says", low=0, high=100),
-    _row("Q", [1.0], "output weights, one for all or shape (p,)", "1/output units^2", low=0.0),
-    _row("R", [1.0], "input weights, one for all or shape (m,)", "1/input units^2", low=0.0),
-    _row("u_min", [-math.inf], "lower input limits within the plant's own, one for all or shape (m,)", "input units"),
-    _row("u_max", [math.inf], "upper input limits within the plant's own, one for all or shape (m,)", "input units"),
-    _row("du_max", [math.inf], "largest change of an input per sample, one for all or shape (m,)", "input units"),
-    _row("y_min", [-math.inf], "lower output limits of the plan, kept with a reported slack", "output units"),
-    _row("y_max", [math.inf], "upper output limits of the plan, kept with a reported slack", "output units"),
-    _row("mask", [1.0], "weight of each output in [0, 1]; 0 = not chased", low=0.0, high=1.0),
-    _row("terminal", "equilibrium", "what the plan must end in", choices=get_args(Terminal)),
-    _row("terminal_steps", 0, "samples at the end for which it holds; 0 = N", "samples", low=0, high=1000),
-    _row("terminal_weight", 1e4, "price of violating it, relative to Q", low=0.0),
-    _row("offset_weight", 1000.0, "price of the steady state's distance from the reference, relative to Q", low=0.0),
-    _row("slack_weight", 1000.0, "price of violating an output limit, relative to Q", low=0.0),
-    _row("solver", "osqp", "solver tried first; the other one is the second try", choices=get_args(Solver)),
-    _row("form", "absolute", "what is predicted: outputs, or their changes (offset-free)", choices=get_args(Form)),
-    _row("data_policy", "fixed", "which samples are the data", choices=get_args(DataPolicy)),
-    _row("guard", 0.1, "guarded: least strength of a new window, relative to the first", low=1e-6, high=1.0),
-    _row(
-        "dither",
-        [0.0],
-        "white noise that keeps a moving window rich, one for all or shape (m,)",
-        "input units",
-        low=0.0,
-    ),
-    _row("noise", [0.0], "standard deviation of the output noise, one for all or shape (p,)", "output units", low=0.0),
-    _row("cut", "order", "which directions of the free response are kept", choices=get_args(Cut)),
-    _row(
-        "predictor",
-        "joint",
-        "regression; causal is unbiased on closed-loop data",
-        choices=get_args(Regression),
-    ),
-    _row("noise_block", "off", "what noise adds to the behaviour", choices=get_args(NoiseBlock)),
-    _row("regularization", 100.0, "price of the noise block, relative to unit covariance", low=0.0),
-    _row("initial_slack", math.inf, "price of moving the initial condition; inf = never", low=0.0, high=math.inf),
-    _row("u_safe", [0.0], "safe input, one for all or shape (m,)", "input units"),
-    _row("max_gap", 5, "longest run of lost samples that is bridged by holding", "samples", low=0, high=10_000),
-    _row("max_hold", 100, "longest time in HOLDING", "samples", low=1, high=100_000),
-    _row("max_failures", 5, "unsolved optimisations in a row before the fallback", "samples", low=1, high=10_000),
-    _row("fallback_policy", "hold", "what the fallback does", choices=get_args(FallbackPolicy)),
-    _row("trip_min", [-math.inf], "outputs below this end in the fallback, one for all or shape (p,)", "output units"),
-    _row("trip_max", [math.inf], "outputs above this end in the fallback, one for all or shape (p,)", "output units"),
-    _row(
-        "trip_error",
-        math.inf,
-        "median prediction error that ends in the fallback; 1 = as wrong as no prediction, measured on the data",
-        low=1e-9,
-        high=math.inf,
-    ),
-    _row("trip_window", 10, "samples of that median", "samples", low=1, high=100_000),
-    _row("ramp", 20, "length of the fallback's ramp", "samples", low=1, high=100_000),
-    _row("shadow", False, "start in SHADOW: compute and report, move nothing"),
-    _row("excitation", "uniform", "signal while collecting", choices=get_args(Signal)),
-    _row("amplitude", 1.0, "share of the input range that the excitation uses", low=1e-6, high=1.0),
-    _row("seed", 0, "seed of the excitation and the dither", low=0),
-    _row("readers_inputs", 0, "lockstep only: subscribers of inputs to wait for before the first sample", low=0),
-    _row("readers_state", 0, "lockstep only: subscribers of controller/state to wait for", low=0),
-)
-_SAFETY = ("max_gap", "max_hold", "max_failures", "ramp")
-_BOUNDS = ("trip_min", "trip_max", "trip_error", "trip_window")
-_PLAIN = {field.name for field in fields(DeepcSettings)} - {"q", "s", "u_min", "u_max"}
-
-
-def _given(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    return {row.name: row.default for row in PARAMETERS} | dict(parameters)
-
-
-def settings_for(parameters: Mapping[str, Any], info: PlantInfo) -> DeepcSettings:
-    """Settings of the controller for a plant: the parameters, within the plant's limits and with its prior.
-
-    Raises:
-        ConfigError: in one line, if they cannot work.
-    """
-    given, m = _given(parameters), len(info.input_names)
-    plain = {name: _scalar(given[name]) for name in _PLAIN & set(given)}
-    try:
-        return DeepcSettings(
-            **plain,
-            q=given["q"] or int(info.q),
-            s=given["s"] or max(int(info.s), 1),
-            u_min=np.maximum(info.input_min, np.broadcast_to(given["u_min"], (m,))),
-            u_max=np.minimum(info.input_max, np.broadcast_to(given["u_max"], (m,))),
-        )
-    except ValueError as error:
-        raise ConfigError(f"controller: {error}") from None
-
-
-def _scalar(value: Any) -> Any:
-    """A list of one means one for all channels."""
-    return value[0] if isinstance(value, list) and len(value) == 1 else value
-
-
-def make_agent(parameters: Mapping[str, Any], info: PlantInfo) -> Agent:
-    """The decisions of one run on a plant; the node, the loop without ROS and a replay make the same one.
-
-    Raises:
-        ConfigError: in one line, if the parameters cannot work for this plant.
-    """
-    given, settings = _given(parameters), settings_for(parameters, info)
-    try:
-        safety = Safety(fallback=given["fallback_policy"], **{name: given[name] for name in _SAFETY})
-        agent = Agent(
-            len(info.input_names),
-            len(info.output_names),
-            settings,
-            int(given["seed"]),
-            safety,
-            bounds=Bounds(**{name: _scalar(given[name]) for name in _BOUNDS}),
-            excitation=given["excitation"],
-            amplitude=given["amplitude"],
-        )
-    except ValueError as error:
-        raise ConfigError(f"controller: {error}") from None
-    if given["shadow"]:
-        agent.request(Mode.SHADOW)
-    return agent
+_FASTEST = 1e-3  # [s]; no clock watches a loop that is faster
 
 
 class ControllerNode(ManagedNode):
     """Answers outputs k with inputs k+s, then publishes its state.
 
-    It learns sizes, limits, prior and sample time from plant_info; every plant_info starts a new run. Services:
-    ``controller/set_mode`` asks for a mode, ``controller/reset`` starts over with an empty window.
+    It learns sizes, limits, prior and sample time from plant_info; every plant_info starts a new run. It claims the
+    plant while it is active, and refuses to work beside another controller. Services: ``controller/set_mode`` asks for
+    a mode, ``controller/reset`` starts over with an empty window.
     """
 
     parameters = PARAMETERS
@@ -192,6 +50,7 @@ class ControllerNode(ManagedNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("controller", **kwargs)
         self.refused = 0
+        self.deadline_misses = 0
 
     @classmethod
     def check(cls, parameters: Mapping[str, Any], info: PlantInfo) -> None:
@@ -203,8 +62,9 @@ class ControllerNode(ManagedNode):
         self._agent: Agent | None = None
         self._inputs: PatientPublisher | None = None
         self._state: PatientPublisher | None = None
+        self._holder: Holder | None = None
         self._early: dict[int, Sample] = {}
-        self._changes: dict[str, Any] = {}
+        self._wanted: dict[str, Any] = {}  # parameters that change at the next sample
         self._diagnostics = Diagnostics(self, "")
         self.resources.callback(self._diagnostics.destroy)
         for kind, name, answer in (
@@ -214,28 +74,113 @@ class ControllerNode(ManagedNode):
             self.resources.callback(self.destroy_service, self.create_service(kind, name, answer))
         self.add_on_set_parameters_callback(self._on_change)
         self.resources.callback(self.remove_on_set_parameters_callback, self._on_change)
+        self._record = self.advertise(topics.CHANGES)
+        heed = self.guarded(lambda _: self._heed_claims())
+        self._claimants = Claimants(self, lambda: heed(None))
+        self.resources.callback(self._claimants.destroy)
         self.subscribe(topics.PLANT_INFO, self._on_plant)
         self.subscribe(topics.REFERENCE, self._on_reference)
+        if self.p["heed_monitor"]:
+            self.subscribe(topics.REPORT, self._on_report)
+
+    def activate(self) -> None:
+        """Claims the plant."""
+        self._agent, self._follows, self._waits = None, 0, False
+        self._holder = Holder(self, self._commands)
+
+    def deactivate(self) -> None:
+        """Leaves a last input behind in real time, and gives the plant up."""
+        if self._agent is not None and not self._info.lockstep and not self._waits and not self._other():
+            last = self._agent.leave(self.p["stop"])
+            if last is not None:
+                self._enter(changes.LEAVE, self.p["stop"])
+                self._send(*last)
+        if self._holder is not None:
+            self._holder.release()
+            self._holder = None
+
+    # The plant and who commands it
 
     def _on_plant(self, info: PlantInfo) -> None:
         """A plant or a new epoch of it: a fresh run. Its first inputs go out once a reference is known."""
         agent = make_agent(self.p, info)
-        self._agent, self._info, self._k, self._started = agent, info, -1, False
+        self._agent, self._info, self._started = agent, info, False
+        self._k = self._decided = -1  # newest outputs accepted, and answered
+        self._joined: Joined[Sample] = Joined(agent.disturbances, agent.settings.disturbances > 0)
         self._t0, self._period = nanoseconds(info.header.stamp), period_ns(info.sample_time)
+        self._wall = 0.0 if info.lockstep else info.sample_time / (info.speed or 1.0)
+        self._health = Health(self._wall)
+        self._arrived, self._quiet, self._overdue = math.nan, 0, 0
         if self._inputs is None:
             self._connect(info)
         for k, msg in sorted(self._early.items()):
             self._set_reference(k, msg)
+        self._heed_claims()
         self._begin()
 
     def _connect(self, info: PlantInfo) -> None:
-        lockstep, Ts = bool(info.lockstep), info.sample_time
+        lockstep = bool(info.lockstep)
         readers = (self.p["readers_inputs"], self.p["readers_state"]) if lockstep else (0, 0)
-        self._inputs = self.advertise(topics.INPUTS, lockstep=lockstep, sample_time=Ts, readers=readers[0])
+        self._inputs = self.advertise(topics.INPUTS, lockstep=lockstep, sample_time=self._wall, readers=readers[0])
         self._state = self.advertise(topics.STATE, lockstep=lockstep, readers=readers[1])
         self.subscribe(topics.OUTPUTS, self._on_outputs, lockstep=lockstep)
+        if info.disturbance_names:
+            self.subscribe(topics.DISTURBANCES, self._on_disturbances, lockstep=lockstep)
         if self.p["shadow"]:
             self.subscribe(topics.INPUTS, self._on_inputs, lockstep=lockstep)
+        # A requested deadline would shut out every plant that does not offer one, so a timer looks instead.
+        if not lockstep and self.p["patience"] and self._wall >= _FASTEST:
+            look = self.guarded(lambda _: self._look())
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            self.resources.callback(self.destroy_timer, self.create_timer(self._wall, lambda: look(None), clock=steady))
+
+    def _commands(self) -> bool:
+        """Whether this controller commands the plant, or will as soon as it can."""
+        if self._waits:
+            return False
+        agent = self._agent
+        if agent is None:
+            return not (self.p["standby"] or self.p["shadow"])
+        released = agent.mode is Mode.FALLBACK and agent.safety.fallback == "release"
+        return not (agent.mode is Mode.SHADOW or released)
+
+    def _other(self) -> str:
+        """Who else commands the plant, for people; empty if nobody does.
+
+        The plant decides whom it follows; where it does not say so, the claim that is older stands.
+        """
+        assert self._holder is not None
+        if self._follows == self._holder.id:
+            return ""
+        if self._follows and self._claimants.alive(self._follows):
+            return self._claimants.who(self._follows)
+        other = self._claimants.commander(other_than=self._holder.id)
+        return "" if other is None or (self._commands() and self._holder.precedes(other)) else other.who
+
+    def _heed_claims(self) -> None:
+        """Refuses to work beside another controller, or waits for it to go.
+
+        Raises:
+            ConfigError: in one line.
+        """
+        if self._agent is None or self._holder is None:
+            return
+        other = self._other()
+        if other and self.p["standby"]:
+            self._waits = True
+            self._diagnostics.report(OK, f"standing by: {other} commands {self._info.name}")
+        elif other and self._commands():
+            raise ConfigError(
+                f"{other} commands {self._info.name} already: stop it first, or start this one with standby or shadow"
+            )
+        elif self._waits and not other:
+            self._waits = False
+            self.get_logger().info(f"nobody else commands {self._info.name} any more: taking over")
+            self._on_plant(self._info)
+        if self._commands() != self._holder.claim.commands:
+            self._holder.beat()
+
+    # References, disturbances, reports
 
     def _on_reference(self, msg: Sample) -> None:
         self._early[int(msg.k)] = msg
@@ -254,7 +199,8 @@ class ControllerNode(ManagedNode):
     def _begin(self) -> None:
         """The inputs that outputs 0 depend on."""
         assert self._agent is not None
-        if self._started or self._agent.mode is Mode.SHADOW or self._agent.references.at(0) is None:
+        waits = self._waits or self._agent.mode is Mode.SHADOW
+        if self._started or waits or self._agent.references.at(0) is None:
             return
         self._started = True
         for k, u in enumerate(self._agent.start()):
@@ -266,6 +212,33 @@ class ControllerNode(ManagedNode):
         if self._agent.mode is Mode.SHADOW and not refusal(msg, len(self._info.input_names)):
             self._agent.overhear(int(msg.k), msg.values)
 
+    def _on_disturbances(self, msg: Sample) -> None:
+        """Measured at sample k, and forecast for the samples after it as far as there are values."""
+        assert self._agent is not None
+        size = len(self._info.disturbance_names)
+        reason = refusal(msg, size * max(len(msg.values) // size, 1))
+        if not reason and msg.epoch != self._info.epoch:
+            reason = f"epoch {msg.epoch} instead of {self._info.epoch}"
+        if reason:
+            self._refuse(f"disturbances {msg.k}: {reason}")
+            return
+        self._agent.disturbances.set(int(msg.k), np.reshape(msg.values, (-1, size)))
+        for _, outputs in self._joined.told():
+            self._answer(outputs)
+
+    def _on_report(self, msg: MonitorReport) -> None:
+        """Modes that the inputs do not reach, as far as the monitor can tell."""
+        finding = msg.r_controllability
+        decided = finding.verdict in (Verdict.PROVED, Verdict.NOT_PROVED)
+        if self._agent is None or msg.epoch != self._info.epoch or not decided:
+            return
+        parts = zip(msg.modes_re, msg.modes_im, msg.modes_strength, strict=True)
+        modes = [complex(re, im) for re, im, strength in parts if strength <= finding.noise_bound]
+        self._enter(changes.MODES, changes.pairs(modes))
+        self._agent.blame(self._decided + 1, modes)
+
+    # Samples
+
     def _on_outputs(self, msg: Sample) -> None:
         assert self._agent is not None
         reason = refusal(msg, len(self._info.output_names))
@@ -276,44 +249,139 @@ class ControllerNode(ManagedNode):
         if reason:
             self._refuse(f"outputs {msg.k}: {reason}")
             return
-        self._k = int(msg.k)
+        if msg.sender != self._follows:
+            self._follows = int(msg.sender)
+            self._heed_claims()
+        if self._waits:
+            self._k = self._decided = int(msg.k)
+            return
+        now = time.monotonic()
+        self._gap = (now - self._arrived) / (int(msg.k) - self._k)
+        self._arrived, self._quiet, self._overdue, self._k = now, 0, 0, int(msg.k)
+        for _, outputs in self._joined.outputs(self._k, msg):
+            self._answer(outputs)
+
+    def _answer(self, msg: Sample) -> None:
+        """Decides from outputs k, and publishes the decision."""
+        assert self._agent is not None
         self._apply_changes()
-        decision = self._agent.step(self._k, msg.values, int(msg.held))
+        k = self._decided = int(msg.k)
+        decision = self._agent.step(k, msg.values, int(msg.held))
         if decision.u is not None:
-            self._send(self._k + self._agent.settings.s, decision.u)
+            self._send(k + self._agent.settings.s, decision.u)
+        limited = decision.result is not None and decision.result.limited
+        self.deadline_misses += self._health.sample(self._gap, time.monotonic() - self._arrived, limited)
         self._publish_state(msg, decision)
         self._agent.prepare()
 
+    def _look(self) -> None:
+        """Once a period of real time: outputs that have stopped coming do not stop the controller.
+
+        Counts its own calls, so that a process that was asleep itself does not blame the plant.
+        """
+        if self._agent is None or self._k < 0 or self._waits:
+            return
+        self._quiet += 1
+        if self._quiet < self.p["patience"] or self._overdue - self._k >= self.p["max_hold"]:
+            return
+        k = self._k + int((time.monotonic() - self._arrived) / self._wall)
+        if k <= max(self._k, self._overdue):
+            return
+        self._overdue = k
+        self.deadline_misses += 1
+        self._health.overdue()
+        self._enter(changes.OVERDUE, k)
+        decision = self._agent.overdue(k)
+        if decision.u is not None:
+            self._send(k + self._agent.settings.s, decision.u)
+        blank = sample(self._info.name, self._info.epoch, k, np.empty(0), self._t0 + k * self._period)
+        self._publish_state(blank, decision, overdue=True)
+
     def _send(self, k: int, u: np.ndarray) -> None:
         assert self._inputs is not None
-        self._inputs.publish(sample(self._info.name, self._info.epoch, k, u, self._t0 + k * self._period))
+        assert self._holder is not None
+        time_ns = self._t0 + k * self._period
+        self._inputs.publish(sample(self._info.name, self._info.epoch, k, u, time_ns, sender=self._holder.id))
 
     def _refuse(self, reason: str) -> None:
         self.refused += 1
         self.get_logger().warning(f"refused {reason}", throttle_duration_sec=5.0)
 
-    def _publish_state(self, outputs: Sample, decision: Decision) -> None:
+    def _publish_state(self, outputs: Sample, decision: Decision, *, overdue: bool = False) -> None:
         assert self._agent is not None
         assert self._state is not None
         msg = state_message(self._agent, decision)
         msg.header = outputs.header
-        msg.epoch, msg.refused = outputs.epoch, self.refused
+        msg.epoch, msg.refused, msg.overdue = outputs.epoch, self.refused, overdue
+        msg.deadline_misses = self.deadline_misses
         self._state.publish(msg)
         level = {Mode.FALLBACK: ERROR, Mode.HOLDING: WARN}.get(decision.mode, OK)
-        if msg.status in (msg.STATUS_SHIFTED_PLAN, msg.STATUS_FALLBACK):
+        complaints = self._health.complaints()
+        if overdue:
+            complaints = ["outputs are overdue", *complaints]
+        if complaints or msg.status in (msg.STATUS_SHIFTED_PLAN, msg.STATUS_FALLBACK):
             level = max(level, WARN)
-        values = {"reason": decision.reason, "failures": msg.failures, "lost": self._agent.lost}
-        self._diagnostics.report(level, decision.mode.name, values | {"refused": self.refused})
+        text = "; ".join([decision.mode.name, *complaints])
+        if self._diagnostics.due(level, text):
+            self._diagnostics.report(level, text, self._numbers(msg, decision))
+        assert self._holder is not None
+        if self._commands() != self._holder.claim.commands:
+            self._holder.beat()
+
+    def _numbers(self, msg: Any, decision: Decision) -> dict[str, Any]:
+        """What goes with the level."""
+        assert self._agent is not None
+        assert self._inputs is not None
+        age = (self.get_clock().now().nanoseconds - nanoseconds(msg.header.stamp)) / 1e9
+        return {
+            "reason": decision.reason,
+            "k": decision.k,
+            "rank": f"{msg.rank}/{msg.rank_need}",
+            "excitation": f"{msg.excitation}/{msg.excitation_need}",
+            "weak": msg.weak,
+            "solve_time": msg.solve_time,
+            "data_age": age,
+            "failures": msg.failures,
+            "lost": self._agent.lost,
+            "refused": self.refused,
+            "deadline_misses": self.deadline_misses,
+            "inputs_late": self._inputs.deadlines_missed,
+            **self._health.values(),
+        }
+
+    # Requests
+
+    def _enter(self, name: str, value: Any) -> None:
+        """Writes down what enters the agent besides samples, so that a recorded run can be computed again."""
+        msg = Change(epoch=self._info.epoch, k=self._decided + 1, name=name, value=json.dumps(value))
+        msg.header.frame_id = self._info.name
+        msg.header.stamp = self.get_clock().now().to_msg()
+        self._record.publish(msg)
+
+    def _request(self, wanted: int) -> str:
+        """Asks the agent for a mode; returns why not, or nothing."""
+        if self._agent is None:
+            return "there is no plant yet"
+        other = self._other()
+        if other and wanted != Mode.SHADOW:
+            return f"{other} commands {self._info.name}: stop it first"
+        why = self._agent.request(wanted)
+        if not why:
+            self._enter(changes.MODE, wanted)
+            self._heed_claims()
+            if self._k < 0:
+                self._begin()
+        return why
 
     def _on_set_mode(self, request: Any, response: Any) -> Any:
-        why = "there is no plant yet" if self._agent is None else self._agent.request(int(request.mode))
+        why = self._request(int(request.mode))
         response.success = not why
-        response.message = why or f"now {self._agent.mode.name}"
+        response.message = why or f"now {Mode(self._agent.mode).name}"
         self.get_logger().info(f"set_mode {request.mode}: {response.message}")
         return response
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
-        why = "there is no plant yet" if self._agent is None else self._agent.request(Mode.COLLECTING)
+        why = self._request(Mode.COLLECTING)
         response.success = not why
         response.message = why or "the window is empty, collecting again"
         self.get_logger().info(f"reset: {response.message}")
@@ -332,47 +400,20 @@ class ControllerNode(ManagedNode):
                 make_agent(self.p | wanted, self._info)
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        self._changes |= wanted
+        self._wanted |= wanted
         return SetParametersResult(successful=True)
 
     def _apply_changes(self) -> None:
-        if not self._changes:
+        if not self._wanted:
             return
         assert self._agent is not None
-        self.p |= self._changes
-        settings = settings_for(self.p, self._info)
-        self._agent.tune(**{name: getattr(settings, name) for name in self._changes if name in LIVE})
-        self._changes = {}
+        wanted, self._wanted = self._wanted, {}
+        self._enter(changes.PARAMETERS, wanted)
+        changes.change_parameters(self._agent, self.p, self._info, wanted)
 
 
 def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else value
-
-
-def state_message(agent: Agent, decision: Decision) -> ControllerState:
-    """A decision as a message, without its header."""
-    c = agent.controller
-    msg = ControllerState(k=decision.k, mode=int(decision.mode), reason=decision.reason, failures=agent.failures)
-    msg.reference = [] if decision.reference is None else decision.reference.tolist()
-    msg.input = [] if decision.u is None else decision.u.tolist()
-    msg.window, msg.rank, msg.rank_need = c.window_length, c.rank, c.rank_need
-    msg.gap, msg.excitation, msg.excitation_need = float(c.gap), c.excitation_order, c.excitation_need
-    msg.distance = msg.cost = math.nan
-    if decision.result is not None:
-        _fill(msg, decision.result)
-    return msg
-
-
-def _fill(msg: ControllerState, result: StepResult) -> None:
-    """What the optimisation adds."""
-    msg.status = int(result.status) + 1
-    msg.limited, msg.solver, msg.iterations = bool(result.limited), result.solver, int(result.iterations)
-    msg.input_plan, msg.output_plan = result.u_plan.ravel().tolist(), result.y_plan.ravel().tolist()
-    if np.isfinite(result.y_steady).all():
-        msg.steady_input, msg.steady_output = result.u_steady.tolist(), result.y_steady.tolist()
-    msg.distance, msg.cost = float(result.distance), float(result.cost)
-    msg.slack = float(max(np.max(result.slack, initial=0.0), np.max(np.nan_to_num(result.violation), initial=0.0)))
-    msg.prepare_time, msg.solve_time = float(result.prepare_time), float(result.solve_time)
 
 
 def main() -> int:

@@ -29,9 +29,11 @@ def period_ns(sample_time: float) -> int:
     return round(sample_time * NANOSECONDS)
 
 
-def sample(frame: str, epoch: int, k: int, values: NDArray[np.float64], time_ns: int, held: int = 0) -> Sample:
+def sample(
+    frame: str, epoch: int, k: int, values: NDArray[np.float64], time_ns: int, held: int = 0, sender: int = 0
+) -> Sample:
     """A Sample message; the float64 bits of ``values`` are kept."""
-    msg = Sample(epoch=epoch, k=k, held=held)
+    msg = Sample(epoch=epoch, k=k, held=held, sender=sender)
     msg.header.frame_id = frame
     msg.header.stamp = stamp(time_ns)
     msg.values = np.ascontiguousarray(values, dtype=np.float64).ravel().tolist()

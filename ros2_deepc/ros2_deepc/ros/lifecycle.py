@@ -8,6 +8,7 @@ callback end the process. Here callbacks run only while active, `stop` deactivat
 ends in `on_fault`.
 """
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import Any, ClassVar, TypeVar
@@ -43,6 +44,7 @@ class ManagedNode(LifecycleNode):
         self.fault = ""
         self.resources = ExitStack()
         self._active = False
+        self._latched: list[Callable[[], None]] = []
 
     @classmethod
     def check(cls, parameters: Mapping[str, Any], info: Any) -> None:
@@ -70,9 +72,13 @@ class ManagedNode(LifecycleNode):
         """Leaves a defined state behind and stops work."""
 
     def subscribe(self, topic: Topic, callback: Callable[[Any], None], *, lockstep: bool = True) -> None:
-        """Subscribes until cleanup; the callback runs only while the node is active."""
+        """Subscribes until cleanup; the callback runs only while the node is active.
+
+        What is kept for late readers comes again at every activation, as to a node that has just been started.
+        """
         qos = profile(topic, lockstep=lockstep)
-        subscription = self.create_subscription(topic.type, topic.name, self.guarded(callback), qos)
+        run = self._keeping(callback, topic.depth) if topic.latched else self.guarded(callback)
+        subscription = self.create_subscription(topic.type, topic.name, run, qos)
         self.resources.callback(self.destroy_subscription, subscription)
 
     def advertise(
@@ -109,6 +115,23 @@ class ManagedNode(LifecycleNode):
         self.quiesce()
         self._guard(self.resources.close)
 
+    def _keeping(self, callback: Callable[[Message], None], depth: int) -> Callable[[Message], None]:
+        """A guarded callback whose last messages are given to it again at every activation."""
+        run = self.guarded(callback)
+        kept: deque[Message] = deque(maxlen=depth)
+
+        def again() -> None:
+            for msg in list(kept):
+                callback(msg)
+
+        def keep(msg: Message) -> None:
+            kept.append(msg)
+            run(msg)
+
+        self._latched.append(again)
+        self.resources.callback(self._latched.remove, again)
+        return keep
+
     def guarded(self, callback: Callable[[Message], None]) -> Callable[[Message], None]:
         """A callback that runs only while the node is active and whose exceptions end in ``on_fault``."""
 
@@ -131,11 +154,15 @@ class ManagedNode(LifecycleNode):
         return result
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Transition callback: inactive -> active."""
+        """Transition callback: inactive -> active, or a failure with its reason logged."""
+        self.fault = ""
         self._active = True
-        result = self._guard(self.activate)
-        self._active = result == TransitionCallbackReturn.SUCCESS
-        return super().on_activate(state) if self._active else result
+        for step in (self.activate, *self._latched):
+            if self._guard(step) != TransitionCallbackReturn.SUCCESS:
+                self._guard(self.deactivate, quiet=True)
+                self._active = False
+                return TransitionCallbackReturn.FAILURE
+        return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Transition callback: active -> inactive."""
@@ -155,10 +182,12 @@ class ManagedNode(LifecycleNode):
             self._active = False
         return self._guard(self.resources.close)
 
-    def _guard(self, step: Callable[[], None]) -> TransitionCallbackReturn:
+    def _guard(self, step: Callable[[], None], *, quiet: bool = False) -> TransitionCallbackReturn:
         try:
             step()
         except Exception as error:  # rclpy would turn it into an error state without a word
+            if quiet:
+                return TransitionCallbackReturn.FAILURE
             known = isinstance(error, (ConfigError, OSError, ValueError))
             self.fault = str(error) if known else f"{type(error).__name__}: {error}"
             self.get_logger().error(self.fault)

@@ -6,7 +6,7 @@
 from collections import deque
 from typing import Any
 
-from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, QoSOfferedDeadlineMissedInfo
 from rclpy.node import Node
 
 from .qos import profile
@@ -27,12 +27,13 @@ class PatientPublisher:
         self._node = node
         self._expected = readers
         self._held: deque[Any] = deque()
-        self._publisher = node.create_publisher(
-            topic.type,
-            topic.name,
-            profile(topic, lockstep=lockstep, sample_time=sample_time),
-            event_callbacks=PublisherEventCallbacks(matched=self._on_matched),
-        )
+        self.deadlines_missed = 0
+        """Times that the promised deadline passed without a message; only where there is one."""
+        qos = profile(topic, lockstep=lockstep, sample_time=sample_time)
+        events = PublisherEventCallbacks(matched=self._on_matched)
+        if qos.deadline.nanoseconds:
+            events.deadline = self._on_deadline
+        self._publisher = node.create_publisher(topic.type, topic.name, qos, event_callbacks=events)
 
     @property
     def connected(self) -> bool:
@@ -57,6 +58,9 @@ class PatientPublisher:
         self._expected = 0  # whoever leaves later must not stop the loop
         while self._held:
             self._send(self._held.popleft())
+
+    def _on_deadline(self, info: QoSOfferedDeadlineMissedInfo) -> None:
+        self.deadlines_missed = int(info.total_count)
 
     def _on_matched(self, _info: object) -> None:
         if self._held:

@@ -6,9 +6,9 @@
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from .topics import CLOCK, INPUTS, OUTPUTS, STATE, Topic
+from .topics import CLOCK, DISTURBANCES, INPUTS, OUTPUTS, STATE, Topic
 
-_SAMPLES = (OUTPUTS, INPUTS, STATE)
+_SAMPLES = (OUTPUTS, INPUTS, DISTURBANCES, STATE)
 
 
 def profile(topic: Topic, *, lockstep: bool = True, sample_time: float = 0.0) -> QoSProfile:

@@ -9,7 +9,7 @@ All names are relative, so that one namespace holds one plant or zone (for examp
 from dataclasses import dataclass
 from typing import Any
 
-from deepc_msgs.msg import ControllerState, Indicator, MonitorReport, PlantInfo, Sample
+from deepc_msgs.msg import Change, Claim, ControllerState, Indicator, MonitorReport, PlantInfo, Sample
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log, ParameterEvent
 from rosgraph_msgs.msg import Clock
@@ -44,13 +44,29 @@ PLANT_INFO = Topic("plant_info", PlantInfo, "plant -> all", latched=True, depth=
 OUTPUTS = Topic("outputs", Sample, "plant -> controller, monitor, recorder")
 INPUTS = Topic("inputs", Sample, "controller -> plant, monitor, recorder")
 REFERENCE = Topic("reference", Sample, "operator -> controller", latched=True, depth=100)  # a whole schedule
+DISTURBANCES = Topic("disturbances", Sample, "plant -> controller")
 STATE = Topic("controller/state", ControllerState, "controller -> all")
+CHANGES = Topic("controller/changes", Change, "controller -> recorder", depth=1000)
+CLAIM = Topic("claim", Claim, "controller -> plant, controller", latched=True, depth=1)
 REPORT = Topic("monitor/report", MonitorReport, "monitor -> all", latched=True)
 INDICATOR = Topic("monitor/indicator", Indicator, "monitor -> all")
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, "all -> all")
 CLOCK = Topic("/clock", Clock, "plant -> all, in lockstep", depth=1)
 
-ALL = (PLANT_INFO, OUTPUTS, INPUTS, REFERENCE, STATE, REPORT, INDICATOR, DIAGNOSTICS, CLOCK)
+ALL = (
+    PLANT_INFO,
+    OUTPUTS,
+    INPUTS,
+    REFERENCE,
+    DISTURBANCES,
+    STATE,
+    CHANGES,
+    CLAIM,
+    REPORT,
+    INDICATOR,
+    DIAGNOSTICS,
+    CLOCK,
+)
 
 # what every node of ROS publishes by itself: recorded, too
 PARAMETER_EVENTS = Topic("/parameter_events", ParameterEvent, "all -> all", depth=1000)

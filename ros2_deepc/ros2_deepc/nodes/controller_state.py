@@ -1,0 +1,39 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What the controller knows and decided, as a message."""
+
+import math
+
+import numpy as np
+from deepc_msgs.msg import ControllerState
+
+from ..control import StepResult
+from ..control.agent import Agent, Decision
+
+
+def state_message(agent: Agent, decision: Decision) -> ControllerState:
+    """A decision as a message, without its header."""
+    c = agent.controller
+    msg = ControllerState(k=decision.k, mode=int(decision.mode), reason=decision.reason, failures=agent.failures)
+    msg.reference = [] if decision.reference is None else decision.reference.tolist()
+    msg.input = [] if decision.u is None else decision.u.tolist()
+    msg.mask, msg.weak = c.mask.tolist(), c.weak
+    msg.window, msg.rank, msg.rank_need = c.window_length, c.rank, c.rank_need
+    msg.gap, msg.excitation, msg.excitation_need = float(c.gap), c.excitation_order, c.excitation_need
+    msg.distance = msg.cost = math.nan
+    if decision.result is not None:
+        _fill(msg, decision.result)
+    return msg
+
+
+def _fill(msg: ControllerState, result: StepResult) -> None:
+    """What the optimisation adds."""
+    msg.status = int(result.status) + 1
+    msg.limited, msg.solver, msg.iterations = bool(result.limited), result.solver, int(result.iterations)
+    msg.input_plan, msg.output_plan = result.u_plan.ravel().tolist(), result.y_plan.ravel().tolist()
+    if np.isfinite(result.y_steady).all():
+        msg.steady_input, msg.steady_output = result.u_steady.tolist(), result.y_steady.tolist()
+    msg.distance, msg.cost = float(result.distance), float(result.cost)
+    msg.slack = float(max(np.max(result.slack, initial=0.0), np.max(np.nan_to_num(result.violation), initial=0.0)))
+    msg.prepare_time, msg.solve_time = float(result.prepare_time), float(result.solve_time)

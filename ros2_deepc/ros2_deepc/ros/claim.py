@@ -1,0 +1,155 @@
+# SPDX-FileCopyrightText: 2026 The ros2_deepc authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Who may command a plant: heartbeats under a liveliness contract, one id for each activation of a controller.
+
+Liveliness is MANUAL_BY_TOPIC, asserted by each heartbeat: with AUTOMATIC, Fast DDS declares a writer of the same
+process dead after its first lease.
+"""
+
+import os
+import secrets
+import socket
+import time
+from collections.abc import Callable
+
+from deepc_msgs.msg import Claim
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
+
+from . import topics
+from .convert import stamp
+
+LEASE = 2.0
+"""[s] without a sign of life after which a claim is void."""
+_BEAT = LEASE / 4
+_READERS_DEPTH = 100  # claims that may arrive before a reader looks
+
+
+def _profile(depth: int) -> QoSProfile:
+    """Transient local: whoever comes late hears at once who is there, but never somebody who is gone."""
+    return QoSProfile(
+        depth=depth,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
+        liveliness_lease_duration=Duration(seconds=LEASE),
+    )
+
+
+class Claimants:
+    """Who is there to command the plant of a node's zone.
+
+    Args:
+        node: on which to listen.
+        changed: called after every claim, and when somebody stopped giving signs of life.
+    """
+
+    def __init__(self, node: Node, changed: Callable[[], None] = lambda: None) -> None:
+        self._node, self._changed = node, changed
+        self._claims: dict[int, Claim] = {}
+        self._seen: dict[int, float] = {}
+        self._subscription = node.create_subscription(
+            topics.CLAIM.type,
+            topics.CLAIM.name,
+            self._on_claim,
+            _profile(_READERS_DEPTH),
+            event_callbacks=SubscriptionEventCallbacks(liveliness=lambda _: self._changed()),
+        )
+
+    def alive(self, sender: int, lease: float = LEASE) -> bool:
+        """Whether there was a sign of life within ``lease`` [s], and no word that the plant was given up."""
+        claim = self._claims.get(sender)
+        return (claim is None or claim.commands) and time.monotonic() - self._seen.get(sender, -lease) < lease
+
+    def note(self, sender: int) -> None:
+        """Another sign of life: inputs of that sender, heard before its claim or beside it."""
+        self._seen[sender] = time.monotonic()
+
+    def commander(self, other_than: int = 0) -> Claim | None:
+        """Whoever claims to command now, the earliest first; None if nobody does."""
+        there = [claim for sender, claim in self._claims.items() if sender != other_than and self.alive(sender)]
+        return min(there, key=_seniority, default=None)
+
+    def who(self, sender: int) -> str:
+        """A sender for people."""
+        claim = self._claims.get(sender)
+        return claim.who if claim is not None else "somebody who does not say who it is"
+
+    def destroy(self) -> None:
+        """Takes the subscription off the graph."""
+        self._node.destroy_subscription(self._subscription)
+
+    def _on_claim(self, msg: Claim) -> None:
+        self._claims[int(msg.id)] = msg
+        self.note(int(msg.id))
+        self._changed()
+
+
+class Owner:
+    """What a plant keeps to: it follows one sender at a time, the next one only when that one is gone.
+
+    Args:
+        claimants: signs of life.
+        lease: [s] without inputs after which a sender that makes no claims is gone.
+    """
+
+    def __init__(self, claimants: Claimants, lease: float) -> None:
+        self._claimants, self._lease = claimants, max(lease, LEASE)
+        self.sender: int | None = None
+
+    def refusal(self, sender: int) -> str:
+        """Why the inputs of a sender are not taken, in one line; empty if they are, and it is the owner from now on."""
+        if self.sender not in (None, sender) and self._claimants.alive(self.sender, self._lease_of(self.sender)):
+            return f"{self._claimants.who(self.sender)} commands the plant, not {self._claimants.who(sender)}"
+        self.sender = sender
+        self._claimants.note(sender)
+        return ""
+
+    def _lease_of(self, sender: int) -> float:
+        return LEASE if sender else self._lease
+
+
+class Holder:
+    """A controller's own claim: one heartbeat every half a second from `take` to `release`.
+
+    Args:
+        node: on which to publish.
+        commands: whether it commands the plant now, or only waits.
+    """
+
+    def __init__(self, node: Node, commands: Callable[[], bool]) -> None:
+        self._node, self._commands = node, commands
+        self.claim = Claim(id=secrets.randbits(63) + 1)
+        self.claim.header.stamp = stamp(time.time_ns())
+        self.claim.who = f"{node.get_fully_qualified_name()}, process {os.getpid()} on {socket.gethostname()}"
+        self._publisher = node.create_publisher(topics.CLAIM.type, topics.CLAIM.name, _profile(1))
+        self._timer = node.create_timer(_BEAT, self.beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.beat()
+
+    @property
+    def id(self) -> int:
+        """For the field ``sender`` of the inputs."""
+        return int(self.claim.id)
+
+    def precedes(self, other: Claim) -> bool:
+        """Whether this claim is older than another one."""
+        return _seniority(self.claim) < _seniority(other)
+
+    def beat(self) -> None:
+        """Says so now; call it when it begins or ceases to command."""
+        self.claim.commands = self._commands()
+        self._publisher.publish(self.claim)
+
+    def release(self) -> None:
+        """Gives the plant up and leaves the graph."""
+        self._node.destroy_timer(self._timer)
+        self.claim.commands = False
+        self._publisher.publish(self.claim)
+        self._node.destroy_publisher(self._publisher)
+
+
+def _seniority(claim: Claim) -> tuple[int, int, int]:
+    return claim.header.stamp.sec, claim.header.stamp.nanosec, claim.id
