@@ -19,6 +19,7 @@ app = typer.Typer(
 COMMANDS = {
     "demo": "demo",
     "run": "run",
+    "record": "record",
     "plants": "plants",
     "replay": "replay",
     "report": "bags",

@@ -5,7 +5,6 @@
 
 import json
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,10 +74,8 @@ def run(parameters: Parameters, options: Options, console: Console) -> dict[str,
     for role, values in parameters.items():
         node_class(role).check(values, info)
     out = _fresh(options.out)
-    (out / SETTINGS).write_text(text_of(parameters), encoding="utf-8")
-    recorder = {"folder": str(out / "bag"), "attach": [str(out / SETTINGS)], "figure": True}
-    recorder["metadata"] = _metadata(parameters)
-    parameters = merged(merged(parameters, _READERS), {"recorder": recorder, "monitor": {"log": str(out / "verdicts")}})
+    changes = {"recorder": {"folder": str(out / "bag"), "figure": True}, "monitor": {"log": str(out / "verdicts")}}
+    parameters = merged(merged(explained(parameters, out), changes), _READERS)
     (out / _STARTED).write_text(text_of(parameters), encoding="utf-8")
     try:
         _to_the_end(parameters, steps, info.name, options, console, out)
@@ -156,12 +153,32 @@ def _fresh(out: Path) -> Path:
     return out
 
 
-def _metadata(parameters: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """What somebody needs to know of a run a year later; nothing of the machine."""
-    plant = parameters["plant"]
-    facts = {"plant": plant.get("plant", ""), "seed": plant.get("seed", 0), "steps": plant["steps"]}
-    facts["parameters"] = text_of(parameters)
-    return [f"{name}={value}" for name, value in facts.items()]
+def explained(parameters: Parameters, folder: Path) -> Parameters:
+    """Parameters whose recorder keeps, in the bag, what the run was started with; nothing of the machine.
+
+    Args:
+        parameters: of all nodes; without a recorder they stay as they are.
+        folder: where the file to be kept is written.
+    """
+    if "recorder" not in parameters:
+        return parameters
+    local = {"recorder": ("folder", "attach", "metadata"), "monitor": ("log",)}
+    portable = {
+        role: {name: value for name, value in values.items() if name not in local.get(role, ())}
+        for role, values in parameters.items()
+    }
+    (folder / SETTINGS).write_text(text_of(portable), encoding="utf-8")
+    facts = {name: parameters.get("plant", {}).get(name) for name in ("plant", "seed", "steps")}
+    facts["parameters"] = text_of(portable)
+    given = parameters["recorder"]
+    kept = {
+        "attach": [*filter(None, given.get("attach", ())), str(folder / SETTINGS)],
+        "metadata": [
+            *(f"{name}={value}" for name, value in facts.items() if value is not None),
+            *filter(None, given.get("metadata", ())),
+        ],
+    }
+    return merged(parameters, {"recorder": kept})
 
 
 def _harvest(out: Path) -> dict[str, Any]:

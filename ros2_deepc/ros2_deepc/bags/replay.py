@@ -229,7 +229,7 @@ class _Matcher:
         self._result.compared[topic] = self._result.compared.get(topic, 0) + 1
         if topic in self._differs:
             return
-        skip = {"inputs": frozenset({"header", "epoch", "quality", "held"}), "monitor/report": REPORT_SKIP}
+        skip = {"inputs": frozenset({"header", "epoch", "quality", "held", "sender"}), "monitor/report": REPORT_SKIP}
         found = first_difference(recorded, computed, skip.get(topic, STATE_SKIP))
         if found:
             self._differs.add(topic)
