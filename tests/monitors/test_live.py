@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ros2_deepc.monitors import Prior, Verdict, analyze
+from ros2_deepc.monitors import Prior, Verdict, analyze, indicate
 from ros2_deepc.monitors.live import ENTER, LiveMonitor
 
 A, B, C = np.array([[0.9, 0.2], [-0.1, 0.8]]), np.array([0.3, 1.0]), np.array([1.0, 0.0])
@@ -133,3 +133,58 @@ def test_the_indicator_is_never_below_the_margin_of_the_report():
     seen = live.indicator()
     assert seen.controllability >= made.report.r_controllability.margin - 1e-6
     assert seen.observability >= made.report.r_observability.margin - 1e-6
+
+
+@pytest.mark.parametrize(("s", "noise", "lost"), [(1, 0.0, ()), (2, 0.0, ()), (1, 1e-3, ()), (2, 1e-3, (90, 91, 130))])
+def test_the_indicator_follows_the_window_as_if_it_were_factored_anew(s, noise, lost):
+    inputs = excitation(200)
+    rng = np.random.Generator(np.random.PCG64(2))
+    outputs = [y + noise * rng.standard_normal(1) for y in stream(inputs)]
+    live, compared = LiveMonitor(Prior(q=2, s=s), window=60, period=25, noise=noise), 0
+    for k in range(200):
+        jobs = live.input(k, inputs[k : k + 1])
+        if k not in lost:
+            jobs += live.output(k, outputs[k])
+        for job in jobs:
+            live.analyse(job)
+        seen = live.indicator()
+        records = live.records()
+        if seen is None or len(records) > 1:
+            continue
+        u, y = records[0]
+        window = slice(s - 1, None)  # the first column starts with the newest input of the first outputs
+        fresh = indicate(u[window], y[window], prior=live.prior, L=live._stream.L, noise=noise)
+        assert (seen.rank, seen.rank_need, seen.reason) == (fresh.rank, fresh.rank_need, fresh.reason)
+        assert seen.observability == pytest.approx(fresh.observability, abs=1)  # [dB]; scaled by columns, not samples
+        compared += 1
+    assert compared > 30
+    assert live._stream.L >= 2
+
+
+def test_the_indicator_after_a_gap_is_that_of_records_side_by_side():
+    inputs = excitation(120)
+    live = LiveMonitor(PRIOR, window=200, period=20)
+    feed(live, inputs[:60], stream(inputs)[:60])
+    assert live.indicator().rank == live.indicator().rank_need
+    for k in range(62, 120):
+        live.input(k, [inputs[k]])
+        live.output(k, stream(inputs)[k])
+        seen = live.indicator()
+        assert (seen.rank, seen.controllability > 0) == (seen.rank_need, True)  # a column across the gap would raise it
+    assert live._stream._factor.held == 60 + 58 - 2 * live._stream.L
+    assert seen.controllability == pytest.approx(
+        analyze(*live.records()[0], prior=PRIOR, L=2).r_controllability.margin, abs=12
+    )
+
+
+def test_the_indicator_warns_before_the_next_report():
+    inputs = np.concatenate([excitation(60), np.full(40, 0.5)])
+    outputs = stream(inputs)
+    live = LiveMonitor(PRIOR, window=40, period=50)
+    feed(live, inputs[:60], outputs[:60])
+    first = live.indicator().controllability
+    assert first > 100
+    for k in range(60, 99):
+        live.input(k, [inputs[k]])
+        live.output(k, outputs[k])
+    assert "persistently exciting" in live.indicator().reason

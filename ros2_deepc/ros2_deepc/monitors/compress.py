@@ -100,9 +100,14 @@ def compress(
         spread, last = toeplitz_norm(np.split(Q[:, :kept], edges), L + 1), kept
     else:
         R, spread, last = triangle(W), float(columns), W.shape[0]
-    R11, R21, rest = R[:a, :a], R[kept:, :a], R[kept:, a:last]
-    left, sigma, _ = np.linalg.svd(rest, full_matrices=False)
-    norm = float(np.linalg.norm(W))
+    return split(R[:a, :a], R[kept:, :a], R[kept:, a:last], m, p, L, columns, spread, float(np.linalg.norm(W)))
+
+
+def split(
+    R11: Array, R21: Array, R22: Array, m: int, p: int, L: int, columns: int, spread: float, norm: float
+) -> Compression:
+    """A compression from its factor [R11 0; R21 R22]; see `Compression` for the others."""
+    left, sigma, _ = np.linalg.svd(R22, full_matrices=False)
     inverse = np.asarray(sla.lapack.dtrtri(R11, lower=1)[0]) if excites(R11) else None
     return Compression(R11, R21, inverse, left * sigma, sigma, m, p, L, columns, spread, norm)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .compress import Array, Compression
 from .modal import eigenvalues
 from .noise import Noise, as_noise
 from .pencil import reduce
@@ -51,16 +52,35 @@ def indicate(u: ArrayLike, y: ArrayLike, *, prior: Prior, L: int, noise: Noise |
     Raises:
         ValueError: wrong shapes, or values that are not finite.
     """
-    source, level = from_records([(u, y)], prior.s), as_noise(noise)
-    d, q, m = L + prior.s, prior.q, source.m
-    need = m * d + q
-    missing = need + 1 - source.columns(L, d)
+    source, d = from_records([(u, y)], prior.s), L + prior.s
+    missing = source.m * d + prior.q + 1 - source.columns(L, d)
     if missing > 0:
-        return Indicator(rank_need=need, reason=f"at least {missing} more samples needed at L = {L}")
-    data = source.window(L, d)
+        return too_short(missing, source.m * d + prior.q, L)
+    return margins(source.window(L, d), source.y_scale, prior.q, as_noise(noise))
+
+
+def too_short(missing: int, need: int, L: int) -> Indicator:
+    """What is said of a window that cannot show the rank."""
+    return Indicator(rank_need=need, reason=f"at least {missing} more samples needed at L = {L}")
+
+
+def margins(data: Compression, y_scale: Array, q: int, noise: Noise) -> Indicator:
+    """The indicator of a compressed window.
+
+    Args:
+        data: the window, scaled, with at least one column more than the rank.
+        y_scale: output units per scaled unit, shape (p,).
+        q: slow dimension.
+        noise: on the outputs.
+    """
+    m, d = data.m, data.d
+    need = m * d + q
     if data.inverse is None:
         return Indicator(rank_need=need, reason=f"the inputs are not persistently exciting of order {d}")
-    eps = threshold(data, q, level.hankel_bound(data, level.level(data, source.y_scale, q)))
+    try:
+        eps = threshold(data, q, noise.hankel_bound(data, noise.level(data, y_scale, q)))
+    except ValueError as error:
+        return Indicator(rank_need=need, reason=str(error))
     seen = int(np.count_nonzero(data.sigma > eps))
     rank = m * d + seen
     if not min(seen, q):

@@ -12,14 +12,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .analysis import analyze_records
-from .indicator import Indicator, indicate
-from .noise import Noise
+from .indicator import Indicator
+from .noise import Noise, as_noise
+from .stream import Stream
 from .verdict import Finding, Prior, Report, Verdict
 
 Array = NDArray[np.float64]
 Pair = tuple[Array, Array]
 
 _PATIENCE = 20  # outputs that may wait for a late input before it counts as lost
+CHEAP = 110  # rows of the indicator's window up to which it follows the reports to longer windows
 ENTER = 3.0  # [dB] margin from which a property counts as proved; it is kept down to 0 dB
 PROPERTIES = ("r_controllability", "c_controllability", "r_observability", "c_observability")
 
@@ -85,6 +87,7 @@ class LiveMonitor:
         self._starts: set[int] = set()  # outputs with which a record begins
         self._next = 0  # outputs expected next
         self._last_L = 0  # block rows of the last report
+        self._stream: Stream | None = None  # from the first indicator on
         self._proved: dict[str, int] = {}  # newest k at which each property was proved
         self._standing: set[str] = set()  # properties proved by the last report
 
@@ -112,12 +115,19 @@ class LiveMonitor:
         return LiveReport(job.k, self._settle(job.k, report), samples, time.process_time() - started)
 
     def indicator(self) -> Indicator | None:
-        """Margins at the modes of the newest record; None before the first report, or while it is too short."""
-        records = self.records()
-        if not self._last_L or not records:
+        """Margins at the modes that the window shows, at the block rows of the last report or as many as are cheap.
+
+        None before the first report. Measured with every sample: the window is followed, not factored anew.
+        """
+        if not self._last_L or not self._outputs:
             return None
-        u, y = records[-1]
-        return indicate(u, y, prior=self.prior, L=self._last_L, noise=self.noise)
+        k, y = self._outputs[-1]
+        m, p = self._inputs[k].size, y.size
+        L = min(self._last_L, max(self.prior.q, -(-self.prior.q // p), CHEAP // (m + p)))
+        if self._stream is None or (self._stream.L, self._stream.window) != (L, self.window):
+            self._stream = Stream(m, p, self.prior, L, self.window)
+            self._stream.refill(self.records())
+        return self._stream.indicate(as_noise(self.noise))
 
     def records(self) -> list[Pair]:
         """The window: unbroken records, inputs (K+s-1, m) and outputs (K, p) that start at the same k."""
@@ -156,9 +166,13 @@ class LiveMonitor:
         whole = all(j in self._inputs for j in range(k, k + self.prior.s))
         if k != self._next or not whole:
             self._starts.add(k if whole else k + 1)
+            if self._stream is not None:
+                self._stream.cut()
         self._next = k + 1
         if whole:
             self._outputs.append((k, y))
+            if self._stream is not None:
+                self._stream.push(self._inputs[k + self.prior.s - 1], y)
         oldest = self._outputs[0][0] if self._outputs else k
         _forget(self._inputs, oldest)
         _forget(self._commands, oldest)

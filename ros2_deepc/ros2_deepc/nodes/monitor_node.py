@@ -33,7 +33,7 @@ PARAMETERS = (
     Param("L", 0, "block rows of the tests; 0 = chosen by the analysis", low=0, high=1000),
     Param("noise", [0.0], "standard deviation of the output noise, one for all or shape (p,)", "output units", low=0.0),
     Param("estimate_noise", False, "estimate the noise from the data instead; verdicts then say so"),
-    Param("indicator", False, "publish the margins at the modes of the data with every sample (1 to 3 ms each)"),
+    Param("indicator", True, "publish the margins at the modes of the data with every sample (0.6 to 1 ms each)"),
     Param("worker", False, "analyse in a thread, off the way of the samples; reports then come when they are done"),
     Param("q", 0, "prior: upper bound of the slow order; 0 = what the plant says", low=0),
     Param("s", 0, "prior: upper bound of the nilpotency index; 0 = what the plant says", low=0),
