@@ -204,8 +204,8 @@ def served():
     passwords = {"FIELD_CONTROLLER_PASSWORD": "secret", "FIELD_VIEWER_PASSWORD": "look"}
 
     @contextmanager
-    def start(plant, tags, *options):
-        arguments = [command, "field", plant, "--tags", tags, *map(str, options)]
+    def start(plant, tags, *options, inside=()):
+        arguments = [*inside, command, "field", plant, "--tags", tags, *map(str, options)]
         child = subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True, env=os.environ | passwords)
         try:
             assert any("Ctrl-C" in line for line in child.stdout), f"exit code {child.wait()}"

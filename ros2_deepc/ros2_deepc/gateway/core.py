@@ -117,6 +117,7 @@ class Gateway:
     def failed(self, reason: str, now: float) -> None:
         """A request to the field failed."""
         self.link_fault, self._good = reason, 0
+        self._on_its_way = None
         self._drop_pending()
         self.tick(now)
 
@@ -160,11 +161,11 @@ class Gateway:
         m = len(self.tags.inputs)
         if self._on_its_way is not None and not np.isnan(order[:m]).any():
             k, values = self._on_its_way
-            self.applied = values
+            self.applied = self.guard.last = values
             if k >= 0:
                 self._applied_k = k
-            else:  # no command, but the fallback
-                self.guard.last = values
+                if self._fallback_from is not None:  # written while the state changed
+                    self._fallback_from = values
         self._on_its_way = None
         if len(order) > m and not np.isnan(order[m]):
             self._beat_at, self._beat_sample = now, self._sampled_at
@@ -297,10 +298,9 @@ class Gateway:
         return self._sampled_at != self._beat_sample or now - self._beat_at > 1.5 * self.tags.period
 
     def _drop_pending(self) -> None:
-        """Commands that were let through but not written are not written any more."""
+        """Commands that were let through but not written are not written any more; one on its way may arrive."""
         self._pending.clear()
-        self._on_its_way = None
-        self.guard.last = self.applied
+        self.guard.last = self.applied if self._on_its_way is None else self._on_its_way[1]
 
     def _steady(self) -> bool:
         enough = self._good >= self.tags.supervision.good_samples

@@ -52,11 +52,13 @@ class Engine:
 
     async def run(self) -> None:
         """Runs until ``stop``."""
+        watch = asyncio.create_task(self._watch())
         try:
             while not self._stop:
                 await self._look()
                 await self._until(self._clock() + self.gateway.wait(self._clock()))
         finally:
+            watch.cancel()
             await self._link.close()
             self._ended.set()
 
@@ -82,6 +84,13 @@ class Engine:
         if refusal is None:
             self._wake.set()
         return refusal
+
+    async def _watch(self) -> None:
+        """Looks at the time even while the field does not answer: no time-out of a link delays a change of state."""
+        while True:
+            await asyncio.sleep(self.gateway.tags.period / 4)
+            self.gateway.tick(self._clock())
+            self._on_look()
 
     async def _until(self, end: float) -> None:
         """Waits; writes what commands bring meanwhile."""

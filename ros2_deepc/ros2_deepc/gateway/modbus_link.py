@@ -3,9 +3,11 @@
 
 """Modbus/TCP: the gateway as a client."""
 
+import asyncio
 import logging
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Coroutine, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,14 +48,22 @@ class ModbusLink:
             self._plan.sort(key=lambda request: not request[0].covers(counter))
         self._last = np.full(self._count, np.nan)
         self._client: AsyncModbusTcpClient | None = None
+        self._lost: asyncio.Future[None] | None = None
         self.atomic = len(self._plan) == 1
 
     async def connect(self) -> None:
         """Connects."""
         await self.close()
+        lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+        def trace(connected: bool) -> None:
+            if not connected and not lost.done():
+                lost.set_result(None)
+
         client = AsyncModbusTcpClient(
-            self._link.host, port=self._link.port, timeout=self._link.timeout, retries=0, reconnect_delay=0.0
-        )
+            self._link.host, port=self._link.port, timeout=self._link.timeout, retries=0, reconnect_delay=0.0,
+            trace_connect=trace,
+        )  # fmt: skip
         try:
             connected = await client.connect()
         except (ModbusException, OSError) as error:
@@ -62,7 +72,7 @@ class ModbusLink:
         if not connected:
             client.close()
             raise LinkError(f"{self._where}: no connection")
-        self._client = client
+        self._client, self._lost = client, lost
         self._last = np.full(self._count, np.nan)
 
     async def read(self) -> Scan:
@@ -97,10 +107,7 @@ class ModbusLink:
     async def _read(self, block: Block) -> NDArray[np.int_]:
         client = self._connected()
         ask = client.read_input_registers if block.table == "input" else client.read_holding_registers
-        try:
-            answer = await ask(block.address, count=block.count, device_id=block.unit_id)
-        except (ModbusException, OSError) as error:
-            raise LinkError(f"{self._where}: {error}") from None
+        answer = await self._answer(ask(block.address, count=block.count, device_id=block.unit_id))
         self._check(answer, block)
         if len(answer.registers) < block.count:
             raise LinkError(f"{self._where}: {len(answer.registers)} registers instead of {block.count}")
@@ -108,11 +115,22 @@ class ModbusLink:
 
     async def _write(self, block: Block, registers: list[int]) -> None:
         client = self._connected()
+        answer = await self._answer(client.write_registers(block.address, registers, device_id=block.unit_id))
+        self._check(answer, block)
+
+    async def _answer(self, request: Coroutine[Any, Any, ModbusPDU]) -> ModbusPDU:
+        """The answer to a request; a lost connection ends the wait for it at once, not after the time-out."""
+        assert self._lost is not None
+        asked = asyncio.ensure_future(request)
         try:
-            answer = await client.write_registers(block.address, registers, device_id=block.unit_id)
+            await asyncio.wait((asked, self._lost), return_when=asyncio.FIRST_COMPLETED)
+            if not asked.done():
+                raise LinkError(f"{self._where}: connection lost")
+            return asked.result()
         except (ModbusException, OSError) as error:
             raise LinkError(f"{self._where}: {error}") from None
-        self._check(answer, block)
+        finally:
+            asked.cancel()
 
     def _connected(self) -> AsyncModbusTcpClient:
         if self._client is None or not self._client.connected:

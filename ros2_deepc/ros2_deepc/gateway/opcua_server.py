@@ -3,6 +3,7 @@
 
 """OPC UA: servers with named users, an allow-list of nodes to write, and no way around encryption but the loopback."""
 
+import asyncio
 import hmac
 import logging
 from collections.abc import Mapping, Sequence
@@ -21,6 +22,8 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from .errors import GatewayError
 from .opcua_pki import Pki
 from .places import is_loopback
+
+_CLOSING = 0.02  # [s] for closed sockets to leave the event loop
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)
 
@@ -154,6 +157,7 @@ class OpcuaServer:
         if self._server is not None:
             await self._server.stop()
             self._server = None
+            await asyncio.sleep(_CLOSING)
 
     async def _secure(self, server: Server, pki: Pki) -> None:
         async def validate(certificate: x509.Certificate, _application: object) -> None:
