@@ -48,6 +48,8 @@ class Truth:
         outputs, state = self._observer.outputs, self._observer.state
         if outputs is None or state is None or outputs.k != state.k or (self.y and self.y[-1][0] == outputs.k):
             return False
+        if outputs.held or not state.input or (self.y and self.y[-1][0] != outputs.k - 1):
+            self.y.clear()
         self.y.append((int(outputs.k), np.array(outputs.values)))
         self.u.append((int(state.k) + 1, np.array(state.input)))
         return True
