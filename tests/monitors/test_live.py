@@ -115,13 +115,13 @@ def test_a_proof_is_entered_at_three_decibels_and_left_at_zero():
 
     def settled(margin):
         finding = replace(made.report.r_controllability, verdict=Verdict.PROVED, margin=margin)
-        return live._settle(50, replace(made.report, r_controllability=finding)).r_controllability.verdict
+        return live._settle(50, replace(made.report, r_controllability=finding), ENTER).r_controllability.verdict
 
     assert settled(ENTER - 0.1) is Verdict.UNDECIDED
     assert settled(ENTER + 0.1) is Verdict.PROVED
     assert settled(0.1) is Verdict.PROVED
     lost = replace(made.report.r_controllability, verdict=Verdict.NOT_PROVED, margin=-1.0)
-    live._settle(51, replace(made.report, r_controllability=lost))
+    live._settle(51, replace(made.report, r_controllability=lost), ENTER)
     assert settled(ENTER - 0.1) is Verdict.UNDECIDED
 
 

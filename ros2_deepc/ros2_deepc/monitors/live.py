@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +44,25 @@ class LiveReport:
     compute_time: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveSettings:
+    """What may change while a run goes on.
+
+    Attributes:
+        window: outputs kept, at least 1.
+        period: outputs between two reports, at least 1.
+        noise: as in `analyze`.
+        L: block rows of the tests, None = chosen by the analysis.
+        enter: margin from which a property counts as proved [dB]; it is kept down to 0 dB.
+    """
+
+    window: int
+    period: int
+    noise: Noise | ArrayLike | None = 0.0
+    L: int | None = None
+    enter: float = ENTER
+
+
 @dataclass(frozen=True, slots=True)
 class Job:
     """An analysis that is due: everything it needs, so that another thread may do it.
@@ -50,10 +70,12 @@ class Job:
     Attributes:
         k: index of the newest outputs.
         records: unbroken records, pairs (u, y).
+        settings: in force at k.
     """
 
     k: int
     records: list[Pair]
+    settings: LiveSettings
 
 
 class LiveMonitor:
@@ -64,26 +86,16 @@ class LiveMonitor:
 
     Args:
         prior: what is known of the plant.
-        window: outputs kept, at least 1.
-        period: outputs between two reports, at least 1.
-        noise: as in `analyze`.
-        L: block rows of the tests, None = chosen by the analysis.
+        settings: window, period, noise, L, enter; see `LiveSettings`.
     """
 
-    def __init__(
-        self,
-        prior: Prior,
-        *,
-        window: int,
-        period: int,
-        noise: Noise | ArrayLike | None = 0.0,
-        L: int | None = None,
-    ) -> None:
-        self.prior, self.window, self.period, self.noise, self.L = prior, window, period, noise, L
+    def __init__(self, prior: Prior, **settings: Any) -> None:
+        self.prior, self.settings = prior, LiveSettings(**settings)
+        self._changes: deque[tuple[int, LiveSettings]] = deque()
         self._commands: dict[int, Array] = {}
         self._inputs: dict[int, Array] = {}  # those that did act, by the plant's own word: a late command acts later
         self._waiting: deque[tuple[int, Array, int]] = deque()
-        self._outputs: deque[tuple[int, Array]] = deque(maxlen=window)
+        self._outputs: deque[tuple[int, Array]] = deque(maxlen=self.settings.window)
         self._starts: set[int] = set()  # outputs with which a record begins
         self._next = 0  # outputs expected next
         self._last_L = 0  # block rows of the last report
@@ -107,12 +119,18 @@ class LiveMonitor:
         self._waiting.append((k, np.array(y, dtype=np.float64), held))
         return self._drain()
 
+    def change(self, k: int, **settings: Any) -> None:
+        """Takes other settings, in force from outputs k on; the window goes on, as far as its new length allows."""
+        latest = self._changes[-1][1] if self._changes else self.settings
+        self._changes.append((k, replace(latest, **settings)))
+
     def analyse(self, job: Job) -> LiveReport:
         """Does an analysis; may run in another thread than the rest."""
-        started = time.process_time()
-        report = analyze_records(job.records, prior=self.prior, L=self.L, noise=self.noise)
+        started = time.thread_time()
+        report = analyze_records(job.records, prior=self.prior, L=job.settings.L, noise=job.settings.noise)
         samples = sum(len(y) for _, y in job.records)
-        return LiveReport(job.k, self._settle(job.k, report), samples, time.process_time() - started)
+        settled = self._settle(job.k, report, job.settings.enter)
+        return LiveReport(job.k, settled, samples, time.thread_time() - started)
 
     def indicator(self) -> Indicator | None:
         """Margins at the modes that the window shows, at the block rows of the last report or as many as are cheap.
@@ -124,10 +142,11 @@ class LiveMonitor:
         k, y = self._outputs[-1]
         m, p = self._inputs[k].size, y.size
         L = min(self._last_L, max(self.prior.q, -(-self.prior.q // p), CHEAP // (m + p)))
-        if self._stream is None or (self._stream.L, self._stream.window) != (L, self.window):
-            self._stream = Stream(m, p, self.prior, L, self.window)
+        window = self.settings.window
+        if self._stream is None or (self._stream.L, self._stream.window) != (L, window):
+            self._stream = Stream(m, p, self.prior, L, window)
             self._stream.refill(self.records())
-        return self._stream.indicate(as_noise(self.noise))
+        return self._stream.indicate(as_noise(self.settings.noise))
 
     def records(self) -> list[Pair]:
         """The window: unbroken records, inputs (K+s-1, m) and outputs (K, p) that start at the same k."""
@@ -156,9 +175,12 @@ class LiveMonitor:
                 self._inputs[newest] = acted
             if k == 0 and held == 0:  # nothing earlier could be held
                 self._inputs |= {j: self._commands[j] for j in range(newest) if j in self._commands}
+            while self._changes and self._changes[0][0] <= k:
+                self.settings = self._changes.popleft()[1]
+                self._outputs = deque(self._outputs, maxlen=self.settings.window)
             self._take(k, y)
-            if (k + 1) % self.period == 0 and self._outputs:
-                due.append(Job(k, self.records()))
+            if (k + 1) % self.settings.period == 0 and self._outputs:
+                due.append(Job(k, self.records(), self.settings))
         return due
 
     def _take(self, k: int, y: Array) -> None:
@@ -178,17 +200,17 @@ class LiveMonitor:
         _forget(self._commands, oldest)
         self._starts = {start for start in self._starts if start >= oldest}
 
-    def _settle(self, k: int, report: Report) -> Report:
+    def _settle(self, k: int, report: Report, enter: float) -> Report:
         """Hysteresis, and how old the last proof is where there is none now."""
         self._last_L = report.L
         changes: dict[str, Finding] = {}
         for name in PROPERTIES:
             finding: Finding = getattr(report, name)
-            if finding.verdict is Verdict.PROVED and (name in self._standing or not finding.margin < ENTER):
+            if finding.verdict is Verdict.PROVED and (name in self._standing or not finding.margin < enter):
                 self._proved[name] = k
                 continue
             if finding.verdict is Verdict.PROVED:
-                reason = f"the margin of {finding.margin:.1f} dB is positive; it counts as proved from {ENTER:g} dB on"
+                reason = f"the margin of {finding.margin:.1f} dB is positive; it counts as proved from {enter:g} dB on"
                 changes[name] = replace(finding, verdict=Verdict.UNDECIDED, reason=reason)
             if finding.verdict in (Verdict.UNDECIDED, Verdict.PROVED) and name in self._proved:
                 now = changes.get(name, finding)

@@ -3,6 +3,7 @@
 
 """The monitor: verdicts on the live data, published and logged."""
 
+import json
 import math
 import time
 from collections import deque
@@ -12,14 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Time
+from deepc_msgs.msg import Change, MonitorReport, PlantInfo, Sample
 from deepc_msgs.msg import Indicator as IndicatorMsg
-from deepc_msgs.msg import MonitorReport, PlantInfo, Sample
 from deepc_msgs.msg import Verdict as VerdictMsg
+from rcl_interfaces.msg import SetParametersResult
 
 from ..bags.convert import to_cdr
 from ..bags.writer import BagWriter
-from ..monitors import Finding, Prior, Report, Verdict
-from ..monitors.live import PROPERTIES, Job, LiveMonitor, LiveReport
+from ..monitors import Finding, Prior, Verdict
+from ..monitors.live import ENTER, PROPERTIES, Job, LiveMonitor, LiveReport
 from ..ros import topics
 from ..ros.convert import nanoseconds, refusal
 from ..ros.diagnostics import OK, WARN, Diagnostics
@@ -27,12 +30,23 @@ from ..ros.lifecycle import ManagedNode
 from ..ros.parameters import ConfigError, Param
 from ..ros.run import run_node
 
+PARAMETERS_CHANGED = "parameters"
 PARAMETERS = (
-    Param("window", 300, "outputs in the window of the tests", "samples", low=1, high=1_000_000),
-    Param("period", 10, "outputs between two reports", "samples", low=1, high=1_000_000),
-    Param("L", 0, "block rows of the tests; 0 = chosen by the analysis", low=0, high=1000),
-    Param("noise", [0.0], "standard deviation of the output noise, one for all or shape (p,)", "output units", low=0.0),
-    Param("estimate_noise", False, "estimate the noise from the data instead; verdicts then say so"),
+    Param("window", 300, "outputs in the window of the tests", "samples", low=1, high=1_000_000, live=True),
+    Param("period", 10, "outputs between two reports", "samples", low=1, high=1_000_000, live=True),
+    Param("L", 0, "block rows of the tests; 0 = chosen by the analysis", low=0, high=1000, live=True),
+    Param(
+        "noise",
+        [0.0],
+        "standard deviation of the output noise, one for all or shape (p,)",
+        "output units",
+        low=0.0,
+        live=True,
+    ),
+    Param("estimate_noise", False, "estimate the noise from the data instead; verdicts then say so", live=True),
+    Param(
+        "enter", ENTER, "margin from which a property counts as proved; it is kept down to 0", "dB", low=0.0, live=True
+    ),
     Param("indicator", True, "publish the margins at the modes of the data with every sample (0.6 to 1 ms each)"),
     Param("worker", False, "analyse in a thread, off the way of the samples; reports then come when they are done"),
     Param("q", 0, "prior: upper bound of the slow order; 0 = what the plant says", low=0),
@@ -45,15 +59,30 @@ PARAMETERS = (
 def make_live(parameters: Mapping[str, Any], info: PlantInfo) -> LiveMonitor:
     """The window of one run on a plant; the node and a replay make the same one."""
     given = {row.name: row.default for row in PARAMETERS} | dict(parameters)
-    D = np.reshape(info.d, (len(info.output_names), len(info.input_names))) if info.d_known else None
+    p = len(info.output_names)
+    D = np.reshape(info.d, (p, len(info.input_names))) if info.d_known else None
     prior = Prior(q=given["q"] or int(info.q), s=given["s"] or max(int(info.s), 1), n=int(info.n), D=D)
-    return LiveMonitor(prior, window=given["window"], period=given["period"], noise=_noise(given), L=given["L"] or None)
+    return LiveMonitor(prior, **_settings(given, p))
 
 
-def _noise(given: Mapping[str, Any]) -> Any:
-    if given["estimate_noise"]:
-        return None
-    return given["noise"][0] if len(given["noise"]) == 1 else given["noise"]
+def change_live(live: LiveMonitor, k: int, parameters: Mapping[str, Any], info: PlantInfo) -> None:
+    """Brings parameters that may change while running into force from outputs k on; the node and a replay alike."""
+    given = {row.name: row.default for row in PARAMETERS} | dict(parameters)
+    live.change(k, **_settings(given, len(info.output_names)))
+
+
+def _settings(given: Mapping[str, Any], p: int) -> dict[str, Any]:
+    """The parameters as settings of a `LiveMonitor`.
+
+    Raises:
+        ValueError: if the noise is given for another number of outputs.
+    """
+    noise = given["noise"]
+    if len(noise) not in (1, p):
+        raise ValueError(f"noise has {len(noise)} entries, the plant {p} outputs: give one for all or one for each")
+    level = None if given["estimate_noise"] else noise[0] if len(noise) == 1 else noise
+    same = {name: given[name] for name in ("window", "period", "enter")}
+    return same | {"noise": level, "L": given["L"] or None}
 
 
 class MonitorNode(ManagedNode):
@@ -81,6 +110,10 @@ class MonitorNode(ManagedNode):
         self._diagnostics = Diagnostics(self, "")
         self.resources.callback(self._diagnostics.destroy)
         self._indicator = self.advertise(topics.INDICATOR) if self.p["indicator"] else None
+        self._record = self.advertise(topics.MONITOR_CHANGES)
+        self._wanted: dict[str, Any] = {}
+        self.add_on_set_parameters_callback(self._on_change)
+        self.resources.callback(self.remove_on_set_parameters_callback, self._on_change)
         self._worker = ThreadPoolExecutor(1, "monitor") if self.p["worker"] else None
         self._busy: Future[None] | None = None
         if self._worker is not None:
@@ -107,6 +140,36 @@ class MonitorNode(ManagedNode):
             self.subscribe(topics.INPUTS, self._on_inputs, lockstep=bool(info.lockstep))
             self.subscribe(topics.OUTPUTS, self._on_outputs, lockstep=bool(info.lockstep))
 
+    def _on_change(self, changed: list[Any]) -> SetParametersResult:
+        """Parameters that may change while running are checked together and applied at the next outputs."""
+        rows = {row.name: row for row in PARAMETERS}
+        given = {parameter.name: parameter.value for parameter in changed if parameter.name in rows}
+        wanted = {name: value.tolist() if hasattr(value, "tolist") else value for name, value in given.items()}
+        complaint = next(filter(None, (rows[name].complaint(value) for name, value in wanted.items())), "")
+        try:
+            if not complaint and self._live is not None:
+                make_live(self.p | self._wanted | wanted, self._info)
+        except ValueError as error:
+            complaint = str(error)
+        if complaint:
+            return SetParametersResult(successful=False, reason=complaint)
+        self._wanted |= wanted
+        return SetParametersResult(successful=True)
+
+    def _apply_changes(self, k: int) -> None:
+        """Brings what was asked for into force from outputs k on, and leaves a note in the bag."""
+        if not self._wanted:
+            return
+        assert self._live is not None
+        wanted, self._wanted = self._wanted, {}
+        self.p |= wanted
+        change_live(self._live, k, self.p, self._info)
+        note = Change(epoch=self._info.epoch, k=k, name=PARAMETERS_CHANGED, value=json.dumps(wanted))
+        note.header.stamp = self.get_clock().now().to_msg()
+        note.header.frame_id = self._info.name
+        self._record.publish(note)
+        self.get_logger().info(f"from outputs {k} on: " + ", ".join(f"{name} = {wanted[name]}" for name in wanted))
+
     def _on_inputs(self, msg: Sample) -> None:
         if self._accepts(msg, len(self._info.input_names)):
             assert self._live is not None
@@ -115,6 +178,7 @@ class MonitorNode(ManagedNode):
     def _on_outputs(self, msg: Sample) -> None:
         if self._accepts(msg, len(self._info.output_names)):
             assert self._live is not None
+            self._apply_changes(int(msg.k))
             self._stamps.append((int(msg.k), msg.header.stamp))
             self._analyse(self._live.output(int(msg.k), msg.values, int(msg.held)))
             if self._indicator is not None:
@@ -133,18 +197,21 @@ class MonitorNode(ManagedNode):
         live = self._live
         assert live is not None
         for job in jobs:
+            stamp = dict(self._stamps)[job.k]
             if self._worker is None:
-                self._publish(live.analyse(job))
+                self._publish(live.analyse(job), stamp)
             elif self._busy is None or self._busy.done():  # one at a time; the next period brings newer data
-                self._busy = self._worker.submit(lambda job=job: self._publish(live.analyse(job)))
+                if self._busy is not None:
+                    self._busy.result()  # raises what went wrong in the thread
+                self._busy = self._worker.submit(lambda job=job, at=stamp: self._publish(live.analyse(job), at))
 
-    def _publish(self, live: LiveReport) -> None:
-        msg = self._message(live)
+    def _publish(self, live: LiveReport, stamp: Time) -> None:
+        msg = self._message(live, stamp)
         self._report.publish(msg)
         if self._log is not None:
-            stamp = nanoseconds(msg.header.stamp)
-            self._log.write(self._log_topic, to_cdr(msg), stamp, stamp)
-        self._note_changes(live.report)
+            at = nanoseconds(stamp)
+            self._log.write(self._log_topic, to_cdr(msg), at, at)
+        self._tell(live)
 
     def _indicate(self, outputs: Sample) -> None:
         assert self._live is not None
@@ -158,24 +225,35 @@ class MonitorNode(ManagedNode):
         msg.compute_time = time.process_time() - started
         self._indicator.publish(msg)
 
-    def _message(self, live: LiveReport) -> MonitorReport:
+    def _message(self, live: LiveReport, stamp: Time) -> MonitorReport:
         msg = report_message(live)
         msg.epoch = self._info.epoch
         msg.header.frame_id = self._info.name
-        msg.header.stamp = dict(self._stamps)[live.k]
+        msg.header.stamp = stamp
         now = self.get_clock().now().nanoseconds
         msg.data_age = max(0.0, (now - nanoseconds(msg.header.stamp)) / 1e9)
         return msg
 
-    def _note_changes(self, report: Report) -> None:
+    def _tell(self, live: LiveReport) -> None:
+        """Verdict changes in the log; verdicts, reasons and what they rest on in the diagnostics."""
+        report = live.report
         verdicts = {name: getattr(report, name).verdict for name in PROPERTIES}
-        if verdicts == self._verdicts:
-            return
-        self._verdicts = verdicts
         text = ", ".join(f"{name} {verdict.name}" for name, verdict in verdicts.items())
-        self.get_logger().info(text)
+        if verdicts != self._verdicts:
+            self._verdicts = verdicts
+            self.get_logger().info(f"from outputs {live.k} on: {text}")
         level = WARN if Verdict.PRIOR_VIOLATED in verdicts.values() else OK
-        self._diagnostics.report(level, text, {name: getattr(report, name).reason for name in PROPERTIES})
+        if self._diagnostics.due(level, text):
+            facts = {
+                "k": live.k,
+                "samples": live.samples,
+                "rank": f"{report.rank} of {report.rank_need}",
+                "excitation": f"{report.excitation_order} of {report.excitation_need}",
+                "noise": report.noise_source,
+                "refused": self.refused,
+            }
+            reasons = {name: getattr(report, name).reason for name in PROPERTIES}
+            self._diagnostics.report(level, text, reasons | facts)
 
 
 def verdict_message(finding: Finding) -> VerdictMsg:

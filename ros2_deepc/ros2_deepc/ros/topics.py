@@ -49,6 +49,7 @@ STATE = Topic("controller/state", ControllerState, "controller -> all")
 CHANGES = Topic("controller/changes", Change, "controller -> recorder", depth=1000)
 CLAIM = Topic("claim", Claim, "controller -> plant, controller", latched=True, depth=1)
 REPORT = Topic("monitor/report", MonitorReport, "monitor -> all", latched=True)
+MONITOR_CHANGES = Topic("monitor/changes", Change, "monitor -> recorder", depth=1000)
 INDICATOR = Topic("monitor/indicator", Indicator, "monitor -> all")
 DIAGNOSTICS = Topic("/diagnostics", DiagnosticArray, "all -> all")
 CLOCK = Topic("/clock", Clock, "plant -> all, in lockstep", depth=1)
@@ -63,6 +64,7 @@ ALL = (
     CHANGES,
     CLAIM,
     REPORT,
+    MONITOR_CHANGES,
     INDICATOR,
     DIAGNOSTICS,
     CLOCK,
