@@ -119,7 +119,7 @@ class Assembler:
         return age
 
     def _stamp(self, source: NDArray[np.int64], wall_ns: int) -> int:
-        known = source[source > 0]
+        known = source[source != 0]
         if not known.size:
             self.clock_error = 0.0
             return wall_ns

@@ -25,6 +25,8 @@ T = TypeVar("T")
 
 URI = "urn:ros2_deepc:gateway"
 _EPOCH = datetime(1970, 1, 1)
+_NULL_YEAR = 1601  # DateTime 0: there is no time
+_LATEST = 2**63 - 1  # [ns since 1970], in the year 2262
 _BAD, _UNCERTAIN = 0x80000000, 0x40000000
 
 logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # every failure is reported by the gateway itself
@@ -79,15 +81,12 @@ class OpcuaLink:
 
     async def read(self) -> Scan:
         """Reads every node once."""
-        answers = await self._tried(self._connected().uaclient.read(self._params))
-        if len(answers) != len(self._read_ids):
-            raise LinkError(f"{self._link.url}: {len(answers)} values for {len(self._read_ids)} nodes")
+        answers = await self._values(self._connected())
         n = len(self._places)
         raw, quality = np.full(n, np.nan), np.full(n, Quality.BAD, dtype=np.uint8)
         source = np.zeros(n, dtype=np.int64)
         for i, (node, index) in enumerate(self._places):
-            answer = answers[node]
-            raw[i], quality[i], source[i] = _number(answer, index), _quality(answer), _time_ns(answer)
+            raw[i], quality[i], source[i] = take(answers[node], index)
         return Scan(raw=raw, quality=quality, source_ns=source)
 
     async def write(self, raw: Array) -> None:
@@ -103,9 +102,11 @@ class OpcuaLink:
         if not values:
             return
         results = await self._tried(self._connected().uaclient.write(ua.WriteParameters(NodesToWrite=values)))
+        if not isinstance(results, list) or len(results) != len(values):
+            raise LinkError(f"{self._link.url}: not one answer for each of {len(values)} nodes to write")
         for value, status in zip(values, results, strict=True):
-            if not status.is_good():
-                raise LinkError(f"{self._link.url}: writing {value.NodeId.to_string()}: {status.name}")
+            if not (isinstance(status, ua.StatusCode) and status.is_good()):
+                raise LinkError(f"{self._link.url}: writing {value.NodeId.to_string()}: {getattr(status, 'name', '?')}")
 
     async def close(self) -> None:
         """Disconnects."""
@@ -140,10 +141,17 @@ class OpcuaLink:
             TimestampsToReturn=ua.TimestampsToReturn.Source,
             NodesToRead=[ua.ReadValueId(self._nodes[text], ua.AttributeIds.Value) for text in self._read_ids],
         )
-        answers = await self._tried(client.uaclient.read(self._params))
-        for text, answer in zip(self._read_ids, answers, strict=True):
-            if answer.StatusCode.value == ua.StatusCodes.BadNodeIdUnknown:
+        for text, answer in zip(self._read_ids, await self._values(client), strict=True):
+            status = getattr(answer, "StatusCode", None)
+            if status is not None and status.value == ua.StatusCodes.BadNodeIdUnknown:
                 raise LinkError(f"{self._link.url}: there is no node {text}")
+
+    async def _values(self, client: Client) -> list[Any]:
+        """One answer for every node to read."""
+        answers = await self._tried(client.uaclient.read(self._params))
+        if not isinstance(answers, list) or len(answers) != len(self._read_ids):
+            raise LinkError(f"{self._link.url}: not one value for each of {len(self._read_ids)} nodes")
+        return answers
 
     def _node_id(self, namespaces: Any, text: str) -> ua.NodeId:
         if text.startswith("nsu="):
@@ -188,28 +196,40 @@ def _grouped(places: list[OpcuaAt], file: str) -> list[tuple[str, ua.VariantType
     return found
 
 
-def _number(answer: ua.DataValue, index: int) -> float:
-    """The number in an answer; NaN if there is none."""
-    value: Any = answer.Value.Value if answer.Value is not None else None
+def take(answer: Any, index: int) -> tuple[float, Quality, int]:
+    """What a server says of a value: number, quality, source time [ns since 1970].
+
+    Args:
+        answer: a DataValue, or whatever came instead of one.
+        index: element of an array, or -1 for a scalar.
+
+    Returns:
+        NaN for what is not a number; time 0 if there is none. Never fails.
+    """
+    if not isinstance(answer, ua.DataValue):
+        return np.nan, Quality.BAD, 0
+    value: Any = getattr(answer.Value, "Value", None)
     if index >= 0:
         value = value[index] if isinstance(value, list) and index < len(value) else None
-    return float(value) if isinstance(value, (bool, int, float)) else np.nan
+    raw = float(value) if isinstance(value, (bool, int, float)) else np.nan
+    return raw, _quality(answer.StatusCode), _time_ns(answer.SourceTimestamp)
 
 
-def _quality(answer: ua.DataValue) -> Quality:
-    code = int(answer.StatusCode.value) if answer.StatusCode is not None else 0
-    if code & _BAD:
+def _quality(status: Any) -> Quality:
+    code = getattr(status, "value", 0)
+    if not isinstance(code, int) or code & _BAD:
         return Quality.BAD
     return Quality.UNCERTAIN if code & _UNCERTAIN else Quality.GOOD
 
 
-def _time_ns(answer: ua.DataValue) -> int:
-    """Source time [ns since 1970]; 0 if there is none or it is impossible."""
-    time = answer.SourceTimestamp
-    if time is None:
+def _time_ns(time: Any) -> int:
+    if not isinstance(time, datetime):
+        return 0
+    if time.year <= _NULL_YEAR:
         return 0
     since: timedelta = time.replace(tzinfo=None) - _EPOCH
-    return max(0, (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000)
+    ns = (since.days * 86400 + since.seconds) * 1_000_000_000 + since.microseconds * 1000
+    return min(max(ns, -_LATEST), _LATEST)  # a clock that is so wrong stands still for us: its tags become STALE
 
 
 def _words(error: Exception) -> str:
