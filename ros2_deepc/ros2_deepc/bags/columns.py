@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Growing columns of numbers taken from messages, and their alignment by epoch and sample index."""
 
-from array import array
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import BagError
+from .outline import Block
 
 Array = NDArray[np.float64]
 Keys = NDArray[np.int64]
@@ -17,54 +17,101 @@ NO_EPOCH = -1
 _K_BITS = 40
 
 
+class Grown:
+    """An array that grows at its end; room is doubled, so that appending costs the same however long it is."""
+
+    def __init__(self, kind: Any) -> None:
+        self._room, self._n = np.empty(64, dtype=kind), 0
+
+    def extend(self, values: NDArray[Any]) -> None:
+        """Appends values, shape (n,)."""
+        end = self._n + len(values)
+        if end > len(self._room):
+            room = np.empty(max(end, 3 * len(self._room) // 2), dtype=self._room.dtype)
+            room[: self._n] = self._room[: self._n]
+            self._room = room
+        self._room[self._n : end] = values
+        self._n = end
+
+    def __len__(self) -> int:
+        return self._n
+
+    @property
+    def values(self) -> NDArray[Any]:
+        """What is there so far: a view, read-only."""
+        view = self._room[: self._n]
+        view.flags.writeable = False
+        return view
+
+
 class Columns:
-    """Numbers of many messages of one kind, eight bytes each.
+    """Numbers of many messages of one kind that have header, epoch and k.
 
     Args:
-        scalars: names of the scalar fields to keep; a field that a message lacks is NaN.
-        vector: name of one vector field to keep, "" = none. Empty vectors become NaN; all others must have one length.
+        scalars: paths of the scalar fields to keep; a field that a message lacks is NaN.
+        vector: path of one vector field to keep, "" = none. Empty vectors become NaN; all others must have one length.
     """
 
     def __init__(self, scalars: Sequence[str] = (), vector: str = "") -> None:
-        self.epoch, self.k, self.stamp = array("q"), array("Q"), array("q")  # stamp in ns
-        self.scalars: Mapping[str, array[float]] = {name: array("d") for name in scalars}
-        self._vector_name, self._vector, self._width, self._leading = vector, array("d"), 0, 0
+        self._epoch, self._k, self._stamp = Grown(np.int64), Grown(np.uint64), Grown(np.int64)
+        self._scalars: Mapping[str, Grown] = {name: Grown(np.float64) for name in scalars}
+        self._vector_name, self._vector, self._width, self._leading = vector, Grown(np.float64), 0, 0
 
     def __len__(self) -> int:
-        return len(self.k)
+        return len(self._k)
 
-    def add(self, message: Any) -> None:
-        """Appends one decoded message that has header, epoch and k.
+    def add(self, block: Block) -> None:
+        """Appends the messages of a block.
 
         Raises:
-            BagError: if its vector is longer or shorter than those before.
+            BagError: if a vector is longer or shorter than those before.
         """
-        self.epoch.append(message.epoch)
-        self.k.append(message.k)
-        self.stamp.append(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
-        for name, column in self.scalars.items():
-            column.append(getattr(message, name, np.nan))
+        self._epoch.extend(block.column("epoch", np.int64, 0))
+        self._k.extend(block.column("k", np.uint64, 0))
+        self._stamp.extend(stamps(block))
+        for name, column in self._scalars.items():
+            column.extend(block.column(name))
         if self._vector_name:
-            self._add_vector(getattr(message, self._vector_name, ()), message.k)
+            self._add_vectors(*block.vectors(self._vector_name), block)
 
-    def _add_vector(self, values: Any, k: int) -> None:
-        if len(values):
-            self._width = self._width or len(values)
-            if len(values) != self._width:
-                raise BagError(f"sample k = {k} has {len(values)} {self._vector_name}, those before have {self._width}")
-            self._vector.frombytes(np.asarray(values, np.float64).tobytes())
-        elif self._width:
-            self._vector.extend([np.nan] * self._width)
-        else:
-            self._leading += 1
+    def _add_vectors(self, values: Array, widths: NDArray[np.intp], block: Block) -> None:
+        given = np.flatnonzero(widths)
+        if not self._width:
+            self._leading += len(widths) if not len(given) else int(given[0])
+            if not len(given):
+                return
+            self._width = int(widths[given[0]])
+            values, widths = values[given[0] :], widths[given[0] :]
+        wrong = np.flatnonzero((widths != self._width) & (widths != 0))
+        if len(wrong):
+            k = block.column("k", np.uint64, 0)[len(block) - len(widths) + wrong[0]]
+            have = f"{widths[wrong[0]]} {self._vector_name}"
+            raise BagError(f"sample k = {k} has {have}, those before have {self._width}")
+        padded = values if values.shape[1] == self._width else np.full((len(values), self._width), np.nan)
+        self._vector.extend(padded.ravel())
+
+    @property
+    def epoch(self) -> NDArray[np.int64]:
+        """Epoch of each message, shape (R,)."""
+        return self._epoch.values
+
+    @property
+    def k(self) -> NDArray[np.uint64]:
+        """Sample index of each message, shape (R,)."""
+        return self._k.values
+
+    @property
+    def stamp(self) -> NDArray[np.int64]:
+        """Stamp in the header of each message, shape (R,) [ns]."""
+        return self._stamp.values
 
     def column(self, name: str) -> Array:
-        """One scalar field of all messages, shape (R,); a view, read-only: no message can be added after it."""
-        return _view(self.scalars[name], np.float64)
+        """One scalar field of all messages, shape (R,)."""
+        return self._scalars[name].values
 
     def vectors(self) -> Array:
         """The vector field of all messages, shape (R, width)."""
-        rows = _view(self._vector, np.float64).reshape(-1, max(self._width, 1))
+        rows = self._vector.values.reshape(-1, max(self._width, 1))
         if self._leading:
             rows = np.vstack([np.full((self._leading, rows.shape[1]), np.nan), rows])
         return rows[:, : self._width]
@@ -76,21 +123,19 @@ class Columns:
             BagError: if an index k is 2**40 or more, which no sampled plant reaches.
         """
         rank = {epoch: i for i, epoch in enumerate(epochs)}
-        k = _view(self.k, np.uint64)
+        k, epoch = self.k, self.epoch
         if k.size and k.max() >= 1 << _K_BITS:
             raise BagError(f"sample index {k.max()} makes no sense")
-        epoch = _view(self.epoch, np.int64)
         ranks = np.full(len(epoch), NO_EPOCH, dtype=np.int64)
         for name, place in rank.items():
             ranks[epoch == name] = place
         return np.where(ranks < 0, NO_EPOCH, (ranks << _K_BITS) + k.astype(np.int64))
 
 
-def _view(column: "array[Any]", kind: type[np.generic]) -> NDArray[Any]:
-    """A column without copying it."""
-    view = np.frombuffer(column, dtype=kind) if len(column) else np.empty(0, kind)
-    view.flags.writeable = False
-    return view
+def stamps(block: Block) -> NDArray[np.int64]:
+    """Stamps in the headers of a block's messages, shape (n,) [ns]."""
+    sec, nanosec = (block.column(f"header.stamp.{part}", np.int64, 0) for part in ("sec", "nanosec"))
+    return np.asarray(sec * 10**9 + nanosec, dtype=np.int64)
 
 
 def first_rows(keys: Keys) -> tuple[Keys, NDArray[np.intp]]:

@@ -4,69 +4,24 @@
 
 import os
 import re
-from bisect import bisect_left
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from operator import attrgetter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any
 
+import numpy as np
 import yaml
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, ChunkIndex, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, ChunkIndex, Metadata, Schema
 
-from .decode import Decoder, decoder
+from .decode import Decoder
 from .errors import BagError, why
 from .layout import MARKER, METADATA
-from .scan import BROKEN, Damage, chunk_messages, read_attachments, read_summary, scan
-
-
-class RawMessage(NamedTuple):
-    """One message as it was on the wire; times in ns."""
-
-    topic: str
-    type: str
-    log_time: int
-    publish_time: int
-    data: bytes
-
-
-@dataclass(slots=True)
-class TopicInfo:
-    """A topic of a bag: its type, definition text, number of messages, offered QoS (YAML text) and type hash."""
-
-    name: str
-    type: str
-    definition: str
-    count: int = 0
-    qos: str = ""
-    type_hash: str = ""
-    encoding: str = "cdr"
-    schema_encoding: str = "ros2msg"
-
-    @classmethod
-    def of(cls, channel: Channel, schema: Schema | None) -> Self:
-        """From the records of a file."""
-        return cls(
-            channel.topic,
-            schema.name if schema else "",
-            schema.data.decode("utf-8", "replace") if schema else "",
-            qos=channel.metadata.get("offered_qos_profiles", ""),
-            type_hash=channel.metadata.get("topic_type_hash", ""),
-            encoding=channel.message_encoding,
-            schema_encoding=schema.encoding if schema else "",
-        )
-
-    def decoder(self) -> Decoder:
-        """Function from this topic's bytes to a namespace with the message's fields.
-
-        Raises:
-            BagError: if messages or definition are in another encoding than CDR and ros2msg.
-        """
-        if self.encoding != "cdr" or self.schema_encoding != "ros2msg":
-            have = f"{self.encoding} with a {self.schema_encoding or 'missing'} definition"
-            raise BagError(f"topic {self.name} is {have}: only cdr with ros2msg can be decoded")
-        return decoder(self.type, self.definition)
+from .messages import Messages
+from .outline import Block
+from .scan import BROKEN, Damage, chunk_messages, read_attachments, read_summary
+from .topic import RawMessage, TopicInfo
+from .walk import walk
 
 
 class BagReader:
@@ -120,14 +75,13 @@ class BagReader:
         Raises:
             BagError: if a file that has its index is damaged inside.
         """
-        wanted = None if topics is None else set(topics)
-        for file in self.files:
-            source = _from_index(file, wanted, start, end) if self._indexed[file] else _from_front(file)
-            for message in source:
-                if wanted is not None and message.topic not in wanted:
-                    continue
-                if (start is None or message.log_time >= start) and (end is None or message.log_time < end):
-                    yield message
+        for names, batch in self._batches(topics):
+            if start is not None or end is not None:
+                first, last = np.uint64(max(start or 0, 0)), np.uint64(2**64 - 1 if end is None else max(end, 0))
+                batch = batch.rows((batch.log_time >= first) & (batch.log_time < last))
+            for channel, log_time, publish_time, data in batch:
+                info = names[channel]
+                yield RawMessage(info.name, info.type, log_time, publish_time, data)
 
     def decoded(self, topics: Iterable[str] | None = None) -> Iterator[tuple[RawMessage, Any]]:
         """Yields each message with its decoded form, see ``ros2_deepc.bags.decode``."""
@@ -136,6 +90,31 @@ class BagReader:
             if raw.topic not in decoders:
                 decoders[raw.topic] = self.topics[raw.topic].decoder()
             yield raw, decoders[raw.topic](raw.data)
+
+    def blocks(self, topics: Iterable[str] | None = None) -> Iterator[tuple[str, Block]]:
+        """Yields topic and messages, many at once and decoded by column; in each topic in the order of ``messages``.
+
+        Raises:
+            BagError: for a message that cannot be decoded.
+        """
+        for names, batch in self._batches(topics):
+            for channel in np.unique(batch.channel).tolist():
+                info = names[channel]
+                block = Block(batch.rows(batch.channel == channel), info.outliner())
+                if block.bad:
+                    raise BagError(f"topic {info.name}: {block.bad[0][1]}")
+                yield info.name, block
+
+    def _batches(self, topics: Iterable[str] | None) -> Iterator[tuple[Mapping[int, TopicInfo], Messages]]:
+        """Messages with their topics by channel, chunk by chunk, in order; bounded memory."""
+        wanted = None if topics is None else set(topics)
+        for file in self.files:
+            source = _from_index(file, wanted) if self._indexed[file] else _from_front(file)
+            for names, batch in source:
+                chosen = [c for c, info in names.items() if wanted is None or info.name in wanted]
+                mine = batch.rows(np.isin(batch.channel, chosen))
+                if len(mine):
+                    yield names, mine
 
     def attachments(self) -> Iterator[Attachment]:
         """Yields attachments whose checksum is right: ``.name``, ``.media_type``, ``.data``."""
@@ -163,28 +142,23 @@ class BagReader:
 
     def _read_through(self, file: Path) -> bool:
         """Fills in the same by reading the whole file; always False: this file has no usable index."""
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, TopicInfo] = {}
-        orphans = 0
-        for record in scan(file):
-            match record:
-                case Schema():
-                    schemas[record.id] = record
-                case Channel():
-                    channels[record.id] = self._add_topic(record, schemas.get(record.schema_id))
-                case Message() if record.channel_id in channels:
-                    channels[record.channel_id].count += 1
-                    self._add_time(record.log_time, record.log_time)
-                case Metadata():
-                    self.metadata[record.name] = record.metadata
-                case Message():
-                    orphans += 1
-                case Damage():
-                    self.complete = False
-                    self.losses.append(f"{file.name}: {record}")
-        if orphans:
-            self.losses.append(f"{file.name}: {orphans} messages of topics whose description is lost")
+        for item in walk(file):
+            if isinstance(item, Metadata):
+                self.metadata[item.name] = item.metadata
+            elif isinstance(item, Damage):
+                self.complete = False
+                self.losses.append(f"{file.name}: {item}")
+            else:
+                self._count(*item)
         return False
+
+    def _count(self, names: Mapping[int, TopicInfo], batch: Messages) -> None:
+        for info in names.values():
+            self.topics.setdefault(info.name, replace(info))
+        for channel, count in zip(*np.unique(batch.channel, return_counts=True), strict=True):
+            self.topics[names[int(channel)].name].count += int(count)
+        if len(batch):
+            self._add_time(int(batch.log_time.min()), int(batch.log_time.max()))
 
     def _add_topic(self, channel: Channel, schema: Schema | None) -> TopicInfo:
         return self.topics.setdefault(channel.topic, TopicInfo.of(channel, schema))
@@ -229,49 +203,38 @@ def _number(path: Path) -> tuple[int, str]:
     return (int(match[1]) if match else -1, path.name)
 
 
-def _from_index(file: Path, topics: set[str] | None, start: int | None, end: int | None) -> Iterator[RawMessage]:
+def _from_index(file: Path, topics: set[str] | None) -> Iterator[tuple[Mapping[int, TopicInfo], Messages]]:
     """Messages in the order of log time; only chunks that overlap in time are in memory together."""
     summary = read_summary(file)
     assert summary is not None
-    schemas = {key: schema.name for key, schema in summary.schemas.items()}
-    channels = {c.id: (c.topic, schemas.get(c.schema_id, "")) for c in summary.channels.values()}
-    pending: list[RawMessage] = []
+    names = {c.id: TopicInfo.of(c, summary.schemas.get(c.schema_id)) for c in summary.channels.values()}
+    together: list[Messages] = []
+    latest = 0
     try:
         with file.open("rb") as stream:
             for entry in sorted(summary.chunk_indexes, key=lambda c: (c.message_start_time, c.chunk_start_offset)):
-                if not _matters(entry, channels, topics, start, end):
+                if not _matters(entry, names, topics):
                     continue
-                ready = bisect_left(pending, entry.message_start_time, key=_log_time)
-                yield from pending[:ready]
+                if together and entry.message_start_time >= latest:
+                    yield names, Messages.joined(together).in_order()
+                    together.clear()
                 stream.seek(entry.chunk_start_offset + 9)
                 found = chunk_messages(stream.read(entry.chunk_length - 9))
-                pending = pending[ready:] + [RawMessage(*channels[c], log, sent, data) for c, log, sent, data in found]
-                pending.sort(key=_log_time)
+                together.append(found.rows(np.isin(found.channel, list(names))))
+                latest = max(latest, entry.message_end_time)
     except BROKEN as error:
         raise BagError(f"{file} is damaged inside ({why(error)}): check it and repair it into a new bag") from error
-    yield from pending
+    if together:
+        yield names, Messages.joined(together).in_order()
 
 
-_log_time = attrgetter("log_time")
-
-
-def _matters(
-    entry: ChunkIndex, channels: dict[int, tuple[str, str]], topics: set[str] | None, start: int | None, end: int | None
-) -> bool:
+def _matters(entry: ChunkIndex, names: Mapping[int, TopicInfo], topics: set[str] | None) -> bool:
     """Whether a chunk may hold a wanted message."""
-    if (start is not None and entry.message_end_time < start) or (end is not None and entry.message_start_time >= end):
-        return False
     held = entry.message_index_offsets
-    return topics is None or not held or any(channels[c][0] in topics for c in held if c in channels)
+    return topics is None or not held or any(names[c].name in topics for c in held if c in names)
 
 
-def _from_front(file: Path) -> Iterator[RawMessage]:
-    schemas: dict[int, str] = {}
-    channels: dict[int, tuple[str, str]] = {}
-    for record in scan(file):
-        if isinstance(record, Message) and record.channel_id in channels:
-            yield RawMessage(*channels[record.channel_id], record.log_time, record.publish_time, record.data)
-        elif isinstance(record, Schema):
-            schemas[record.id] = record.name
-        elif isinstance(record, Channel):
-            channels[record.id] = (record.topic, schemas.get(record.schema_id, ""))
+def _from_front(file: Path) -> Iterator[tuple[Mapping[int, TopicInfo], Messages]]:
+    for item in walk(file):
+        if isinstance(item, tuple):
+            yield item

@@ -4,6 +4,7 @@
 
 import hashlib
 import os
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from .columns import NO_EPOCH, Columns, first_rows, pick
 from .errors import BagError
+from .progress import Progress, no_progress
 from .reader import BagReader
 from .writer import RUN_METADATA
 
@@ -123,12 +125,15 @@ def loop_hash(u: Array, y: Array) -> str:
     return hashlib.sha256(np.ascontiguousarray(rows).tobytes()).hexdigest()
 
 
-def load_run(bag: str | os.PathLike[str] | BagReader, namespace: str | None = None) -> Run:
+def load_run(
+    bag: str | os.PathLike[str] | BagReader, namespace: str | None = None, *, progress: Progress = no_progress
+) -> Run:
     """Reads one plant's run out of a bag.
 
     Args:
         bag: folder, file or open reader.
         namespace: of the plant, e.g. "/grid"; default: the only one in the bag.
+        progress: called now and then with messages done and in all.
 
     Returns:
         The run; time and memory are linear in the number of samples.
@@ -145,16 +150,13 @@ def load_run(bag: str | os.PathLike[str] | BagReader, namespace: str | None = No
         "controller/state": Columns(STATE_FIELDS, "reference"),
         "monitor/report": Columns((*REPORT_FIELDS, *_VERDICT_FIELDS)),
     }
-    info, last_report = None, None
-    for raw, message in reader.decoded([f"{prefix}/{name}" for name in (*tables, "plant_info")]):
-        name = raw.topic[len(prefix) + 1 :]
-        if name == "plant_info":
-            info = info or message
-            continue
-        if name == "monitor/report":
-            last_report = message
-            _flatten(message)
-        tables[name].add(message)
+    done = 0
+    for topic, block in reader.blocks([f"{prefix}/{name}" for name in tables]):
+        tables[topic[len(prefix) + 1 :]].add(block)
+        done += len(block)
+        progress(done, reader.message_count)
+    info = next((message for _, message in reader.decoded([f"{prefix}/plant_info"])), None)
+    last_report = _last(reader, f"{prefix}/monitor/report")
     if not len(tables["outputs"]):
         raise BagError(f"bag {reader.path} has no message on {prefix}/outputs")
     return _align(tables, info, last_report, reader.metadata.get(RUN_METADATA, {}))
@@ -183,24 +185,24 @@ _VERDICT_NUMBERS = ("verdict", "lambda_star_re", "lambda_star_im", "margin")
 _VERDICT_FIELDS = tuple(f"{p}.{number}" for p in PROPERTIES for number in _VERDICT_NUMBERS)
 
 
-def _flatten(report: Any) -> None:
-    """Puts the numbers of the four verdicts beside the report's own, under dotted names."""
-    for name in _VERDICT_FIELDS:
-        prop, _, number = name.partition(".")
-        setattr(report, name, getattr(getattr(report, prop), number))
+def _last(reader: BagReader, topic: str) -> Any:
+    """The last message of a topic, or None."""
+    raw = deque(reader.messages([topic]), maxlen=1)
+    return reader.topics[topic].decoder()(raw[0].data) if raw else None
 
 
 def _align(tables: Mapping[str, Columns], info: Any, last_report: Any, metadata: Mapping[str, str]) -> Run:
     outputs, inputs, state = tables["outputs"], tables["inputs"], tables["controller/state"]
-    epochs = list(dict.fromkeys(outputs.epoch))
+    _, firsts = np.unique(outputs.epoch, return_index=True)
+    epochs = outputs.epoch[np.sort(firsts)].tolist()  # in the order of arrival
     y_keys, u_keys, state_keys = outputs.keys(epochs), inputs.keys(epochs), state.keys(epochs)
     keys, rows = first_rows(y_keys)
     y, u_all = outputs.vectors()[rows], inputs.vectors()
     held = np.nan_to_num(outputs.column("held"))[rows]
-    acted = _acted(keys, np.array(outputs.k, dtype=np.int64)[rows], held, max(int(getattr(info, "s", 1)), 1))
+    acted = _acted(keys, outputs.k[rows].astype(np.int64), held, max(int(getattr(info, "s", 1)), 1))
     ahead, _ = first_rows(u_keys[u_keys > keys[-1]])
     ahead = ahead[np.cumprod(ahead == keys[-1] + 1 + np.arange(len(ahead))).astype(bool)]
-    t, clock = _time(np.array(outputs.stamp, dtype=np.int64)[rows], keys, getattr(info, "sample_time", np.nan))
+    t, clock = _time(outputs.stamp[rows], keys, getattr(info, "sample_time", np.nan))
     mode = pick(state.column("mode"), state_keys, keys, float(NO_MODE))
     p, m = y.shape[1], u_all.shape[1]
     return Run(
@@ -214,8 +216,8 @@ def _align(tables: Mapping[str, Columns], info: Any, last_report: Any, metadata:
         input_min=_limits(info, "input_min", m),
         input_max=_limits(info, "input_max", m),
         prior={name: getattr(info, name, 0) for name in ("n", "q", "r", "s")},
-        epoch=np.array(outputs.epoch, dtype=np.int64)[rows],
-        k=np.array(outputs.k, dtype=np.int64)[rows],
+        epoch=outputs.epoch[rows],
+        k=outputs.k[rows].astype(np.int64),
         t=t,
         u=pick(u_all, u_keys, acted),
         y=y,
@@ -279,9 +281,9 @@ def _reports(table: Columns, last: Any, epochs: list[int], clock: Clock) -> Repo
         return np.stack([table.column(f"{p}.{number}") for p in PROPERTIES], axis=1)[known]
 
     return Reports(
-        epoch=np.array(table.epoch, dtype=np.int64)[known],
-        k=np.array(table.k, dtype=np.int64)[known],
-        t=clock(np.array(table.stamp, dtype=np.int64), keys)[known],
+        epoch=table.epoch[known],
+        k=table.k[known].astype(np.int64),
+        t=clock(table.stamp, keys)[known],
         verdict=columns("verdict").astype(np.uint8),
         lambda_star=columns("lambda_star_re") + 1j * columns("lambda_star_im"),
         margin=columns("margin"),

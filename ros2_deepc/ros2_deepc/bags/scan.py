@@ -16,13 +16,13 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Chunk, Footer, Header, Message, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, breakup_chunk, get_chunk_data_stream
+from mcap.records import Attachment, Channel, Chunk, Footer, Header, Metadata, Schema
+from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from mcap.summary import Summary
 
 from .errors import why
+from .messages import Messages, split
 
-_HEAD, _MESSAGE = struct.Struct("<BQ").unpack_from, struct.Struct("<HIQQ").unpack_from
 MAGIC = b"\x89MCAP0\r\n"
 _TAIL = 1 + 8 + 20 + 8  # the footer record and the magic behind it
 _KEPT = {
@@ -59,11 +59,11 @@ class Damage:
     reason: str
 
     def __str__(self) -> str:
-        return f"{self.size} bytes lost at byte {self.offset}: {self.reason}"
+        return f"{self.size} bytes lost at byte {self.offset}: {self.reason}" if self.size else self.reason
 
 
 def scan(path: Path) -> Iterator[Any]:
-    """Yields the records of a file in file order (chunks are opened), and a Damage for every unreadable stretch.
+    """Yields the records of a file in file order (of a chunk: its ``Messages``), a Damage for every unreadable stretch.
 
     A damaged chunk is skipped. Where no record starts, reading goes on at the next chunk that the index knows; without
     an index the file ends there. Schemas and channels that the index repeats come first. One chunk is in memory at a
@@ -165,7 +165,7 @@ def _record(file: BinaryIO, opcode: int, at: int, length: int) -> Iterator[Any]:
         if opcode == Opcode.CHUNK:
             yield from _chunk(Chunk.read(stream))
         elif opcode == Opcode.MESSAGE:
-            yield Message.read(stream, length)
+            yield Messages.found(body, [0], [length])
         else:
             if opcode == Opcode.ATTACHMENT and zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
                 raise ValueError("wrong checksum")
@@ -174,28 +174,28 @@ def _record(file: BinaryIO, opcode: int, at: int, length: int) -> Iterator[Any]:
         yield Damage(at, 9 + length, f"{Opcode(opcode).name.lower()}: {why(error)}")
 
 
-def _chunk(chunk: Chunk) -> list[Any]:
-    _sane(chunk)
-    return list(breakup_chunk(chunk, validate_crc=True))
+def _chunk(chunk: Chunk) -> Iterator[Any]:
+    data = _opened(chunk)
+    others, messages = split(data)
+    kinds = {Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel}
+    found = [kinds[Opcode(o)].read(ReadDataStream(BytesIO(data[a : a + n]))) for o, a, n in others if o in kinds]
+    yield from found  # only after all could be read: of a chunk either everything counts, or nothing
+    yield messages
 
 
-def chunk_messages(body: bytes) -> list[tuple[int, int, int, bytes]]:
-    """The messages of a chunk record as (channel, log time, publish time, data), without any of the other records.
+def chunk_messages(body: bytes) -> Messages:
+    """The messages of a chunk record, without any of the other records.
 
     Raises:
         One of BROKEN: if the chunk is damaged.
     """
-    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+    return split(_opened(Chunk.read(ReadDataStream(BytesIO(body)))))[1]
+
+
+def _opened(chunk: Chunk) -> bytes:
     _sane(chunk)
     stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-    data, at, found = stream.read(size), 0, []
-    while at < size:
-        opcode, length = _HEAD(data, at)
-        if opcode == Opcode.MESSAGE:
-            channel, _, log_time, publish_time = _MESSAGE(data, at + 9)
-            found.append((channel, log_time, publish_time, data[at + 31 : at + 9 + length]))
-        at += 9 + length
-    return found
+    return bytes(stream.read(size))
 
 
 def _sane(chunk: Chunk) -> None:

@@ -12,7 +12,8 @@ from rclpy.qos import QoSProfile
 from rosgraph_msgs.msg import Clock
 
 from ..bags.convert import message_class
-from ..bags.reader import BagReader, RawMessage
+from ..bags.reader import BagReader
+from ..bags.topic import RawMessage
 from ..ros import topics
 from ..ros.convert import stamp
 from ..ros.qos import profile
