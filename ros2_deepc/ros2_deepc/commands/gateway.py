@@ -26,7 +26,7 @@ def gateway(
     """
     if not check:
         raise typer.Exit(run_gateway(tags, namespace))
-    rows = [HEADER, *check_tags(tags)]
+    rows = [HEADER, *check_tags(tags, namespace)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         typer.echo("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

@@ -61,8 +61,12 @@ class FieldOptions:
         return self.port or _PORTS[self.protocol]
 
 
-def check(path: Path) -> list[Row]:
+def check(path: Path, namespace: str = "") -> list[Row]:
     """Validates a tag map, reads every tag once and writes nothing.
+
+    Args:
+        path: of the tag map.
+        namespace: of the zone, for topics with relative names.
 
     Returns:
         One row a tag, columns as in HEADER.
@@ -73,7 +77,7 @@ def check(path: Path) -> list[Row]:
     tags = load(path)
     check_registered(tags)
     if tags.kind == "ros":
-        return table(tags, _read_topics(tags))
+        return table(tags, _read_topics(tags, namespace))
     return table(tags, asyncio.run(_read_once(tags)))
 
 
@@ -88,11 +92,11 @@ async def _read_once(tags: TagMap) -> Scan:
         await link.close()
 
 
-def _read_topics(tags: TagMap) -> Scan:
+def _read_topics(tags: TagMap, namespace: str) -> Scan:
     """One message of every topic, or what came within the time after which a tag counts as stale."""
     from .ros_check import listen
 
-    return listen(tags)
+    return listen(tags, namespace)
 
 
 def table(tags: TagMap, scan: Scan) -> list[Row]:

@@ -1,35 +1,18 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the zone looks like from outside: a read-only OPC UA server for HMIs and historians.
-
-Namespace ``urn:ros2_deepc:mirror``. Arrays keep the order of the tag map.
-
-| node | what |
-|---|---|
-| `state`, `reason` | of the gateway |
-| `epoch`, `k` | of the newest sample |
-| `outputs`, `inputs`, `reference` | newest values |
-| `output_names`, `input_names` | of the tag map |
-| `round_trip` | [s] |
-| `refused` | commands refused since the start |
-| `mode` | of the controller |
-| `r_controllability`, `c_controllability`, `r_observability`, `c_observability` | verdicts |
-"""
+"""What the zone looks like from outside: a read-only server for HMIs and historians, behind OPC UA or Modbus/TCP."""
 
 import asyncio
-import os
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
-from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from .core import Gateway, Outputs
-from .errors import GatewayError
 from .extras import with_extra
 from .tags import TagMap
 
-URI = "urn:ros2_deepc:mirror"
 PROPERTIES = ("r_controllability", "c_controllability", "r_observability", "c_observability")
 MODES = ("IDLE", "COLLECTING", "CONTROLLING", "HOLDING", "FALLBACK", "SHADOW")
 VERDICTS = ("UNDECIDED", "PROVED", "NOT_PROVED", "PRIOR_VIOLATED", "REFUTED", "NOT_DECIDABLE")
@@ -37,30 +20,35 @@ _UNCERTAIN, _BAD = 0x40000000, 0x80000000
 _STATUS = (0, _UNCERTAIN, _UNCERTAIN, _BAD)  # of GOOD, UNCERTAIN, STALE, BAD
 
 
+class Window(Protocol):
+    """A server that shows named values."""
+
+    async def start(self, values: Mapping[str, Any]) -> None:
+        """Listens; ``values`` are names and values at the start."""
+
+    async def put(self, name: str, value: Any, *, status: int = 0, time: datetime | None = None) -> None:
+        """Shows a value, with OPC UA status code and source time."""
+
+    async def stop(self) -> None:
+        """Stops listening."""
+
+
 class Mirror:
-    """Serves the newest of everything; every method is called in the loop that ``run`` runs in.
+    """Shows the newest of everything; every method is called in the loop that ``run`` runs in.
 
     Args:
         tags: with the section ``serve``.
 
     Raises:
         GatewayError: if the password is missing.
-        MissingExtraError: if asyncua is not installed.
+        MissingExtraError: if the package of the protocol is not installed.
     """
 
     def __init__(self, tags: TagMap) -> None:
-        opcua = with_extra("opcua", "opcua_server")
-        serve = tags.serve
-        assert serve is not None
+        assert tags.serve is not None
         self._tags, self._wake = tags, asyncio.Event()
         self._news: dict[str, tuple[Any, int, int]] = {}
-        access = opcua.Access()
-        if not serve.insecure:
-            password = os.environ.get(serve.password_env, "")
-            if not password:
-                raise GatewayError(f"{tags.file}: the environment variable {serve.password_env} is not set")
-            access = opcua.Access(users={serve.user: password}, pki=Path(tags.file).parent / serve.pki)
-        self.server = opcua.OpcuaServer(tags.plant.name, URI, serve.url, access)
+        self.window: Window = with_extra(tags.serve.kind, f"mirror_{tags.serve.kind}").window(tags)
 
     async def run(self) -> None:
         """Listens until cancelled.
@@ -68,13 +56,7 @@ class Mirror:
         Raises:
             GatewayError: if the port cannot be had.
         """
-        m, p = len(self._tags.inputs), len(self._tags.outputs)
-        start: dict[str, Any] = dict.fromkeys(("state", "reason", "mode", *PROPERTIES), "")
-        start |= {"epoch": 0, "k": 0, "refused": 0, "round_trip": 0.0}
-        start |= {"outputs": [0.0] * p, "reference": [0.0] * p, "inputs": [0.0] * m}
-        start |= {"output_names": [tag.name for tag in self._tags.outputs]}
-        start |= {"input_names": [tag.name for tag in self._tags.inputs]}
-        await self.server.start(start)
+        await self.window.start(self._start())
         try:
             with suppress(asyncio.CancelledError):
                 while True:
@@ -82,7 +64,16 @@ class Mirror:
                     self._wake.clear()
                     await self._flush()
         finally:
-            await self.server.stop()
+            await self.window.stop()
+
+    def _start(self) -> dict[str, Any]:
+        """Every name with its value before anything is known."""
+        m, p = len(self._tags.inputs), len(self._tags.outputs)
+        start: dict[str, Any] = dict.fromkeys(("state", "reason", "mode", *PROPERTIES), "")
+        start |= {"epoch": 0, "k": 0, "refused": 0, "round_trip": 0.0}
+        start |= {"outputs": [0.0] * p, "reference": [0.0] * p, "inputs": [0.0] * m}
+        start |= {"output_names": [tag.name for tag in self._tags.outputs]}
+        return start | {"input_names": [tag.name for tag in self._tags.inputs]}
 
     def sample(self, outputs: Outputs) -> None:
         """Takes outputs."""
@@ -126,4 +117,4 @@ class Mirror:
         news, self._news = self._news, {}
         for name, (value, status, time_ns) in news.items():
             time = datetime.fromtimestamp(time_ns / 1e9, tz=UTC).replace(tzinfo=None) if time_ns else None
-            await self.server.put(name, value, status=status, time=time)
+            await self.window.put(name, value, status=status, time=time)

@@ -26,16 +26,20 @@ class Registers:
         holding: number of holding registers.
         inputs: number of input registers.
         on_write: called after every write with first address and number of registers.
+        read_only: refuse every write.
     """
 
-    def __init__(self, holding: int, inputs: int, on_write: Callable[[int, int], None] = lambda *_: None) -> None:
+    def __init__(
+        self, holding: int, inputs: int, on_write: Callable[[int, int], None] = lambda *_: None, *,
+        read_only: bool = False,
+    ) -> None:  # fmt: skip
         self.tables = {"holding": np.zeros(holding, dtype=np.uint16), "input": np.zeros(inputs, dtype=np.uint16)}
         self.refused = 0
-        self._on_write = on_write
+        self._on_write, self._write = on_write, () if read_only else _WRITE
 
     async def async_getValues(self, device_id: int, func_code: int, address: int, count: int = 1) -> object:  # noqa: ARG002 - the server's names
         """Registers, or an exception code."""
-        if func_code not in _READ and func_code not in _WRITE:
+        if func_code not in _READ and func_code not in self._write:
             return self._no(ExcCodes.ILLEGAL_FUNCTION)
         table = self.tables[_READ.get(func_code, "holding")]
         if address + count > len(table):
@@ -44,7 +48,7 @@ class Registers:
 
     async def async_setValues(self, device_id: int, func_code: int, address: int, values: Sequence[int]) -> object:  # noqa: ARG002
         """None, or an exception code."""
-        if func_code not in _WRITE:
+        if func_code not in self._write:
             return self._no(ExcCodes.ILLEGAL_FUNCTION)
         table = self.tables["holding"]
         if address + len(values) > len(table):

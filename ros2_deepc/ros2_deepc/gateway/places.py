@@ -92,11 +92,17 @@ def link_of(section: Section) -> tuple[str, ModbusLink | OpcuaLink | RosLink]:
 
 def serve_of(section: Section) -> Serve:
     """Settings of the section ``serve``."""
+    kind = section.text("kind", "opcua", ("opcua", "modbus"))
+    if kind == "modbus":
+        port = section.need("port", "TCP port to listen on").whole(1, 65535)
+        serve = Serve(kind=kind, host=section.text("host", "127.0.0.1"), port=port)
+        section.done()
+        return serve
     common = _opcua_common(section)
     if not common["insecure"] and not common["user"]:
         section.value.fail("give user and password_env, or allow_insecure_loopback: true")
     section.done()
-    return Serve(**common)
+    return Serve(kind=kind, **common)
 
 
 def _opcua(section: Section) -> OpcuaLink:

@@ -16,10 +16,10 @@ from .tags import TagMap
 _DISCOVERY = 2.0  # [s] that publishers may need to be found
 
 
-def listen(tags: TagMap) -> Scan:
+def listen(tags: TagMap, namespace: str) -> Scan:
     """The newest number of every tag; BAD for those that stayed silent for the time after which they are stale."""
     with ros([]) as context:
-        node = Node("gateway_check", context=context, use_global_arguments=True)
+        node = Node("gateway_check", namespace=namespace, context=context, use_global_arguments=True)
         executor = make_executor("single", context)
         executor.add_node(node)
         link = RosLink(tags, node)

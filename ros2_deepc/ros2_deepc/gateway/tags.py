@@ -182,21 +182,27 @@ class Supervision:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Serve:
-    """A read-only OPC UA server for whoever wants to look.
+    """A read-only server for whoever wants to look.
 
     Attributes:
-        url: where it listens.
+        kind: "opcua" or "modbus".
+        host: Modbus: address to listen on.
+        port: Modbus: TCP port.
+        url: OPC UA: where it listens; so are all that follow.
         insecure: no encryption and no users, on the loopback only.
         pki: folder of certificates.
         user: who may read.
         password_env: environment variable with the password.
     """
 
-    url: str
-    insecure: bool
-    pki: str
-    user: str
-    password_env: str
+    kind: str
+    host: str = "127.0.0.1"
+    port: int = 0
+    url: str = ""
+    insecure: bool = False
+    pki: str = ""
+    user: str = ""
+    password_env: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
