@@ -16,6 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from ros2_deepc.gateway.field_path import look_up, put, put_array, steps
 from ros2_deepc.gateway.gateway_node import GatewayNode
+from ros2_deepc.gateway.round_trip import load as load_round_trip
 from ros2_deepc.ros import topics
 from ros2_deepc.ros.convert import sample
 from ros2_deepc.ros.parameters import ConfigError
@@ -55,6 +56,7 @@ class Simulator(Node):
         self.inputs = self.create_publisher(Sample, "inputs", profile(topics.INPUTS, lockstep=False))
         self.auto = self.create_client(SetBool, "gateway/auto")
         self.acknowledge = self.create_client(Trigger, "gateway/acknowledge")
+        self.new_data = self.create_client(Trigger, "gateway/new_data")
         self.create_timer(0.05, self.tick)
 
     def tick(self):
@@ -68,15 +70,16 @@ class Simulator(Node):
             self.z.publish(msg)
         self.y.publish(Float64MultiArray(data=[float(self.ticks), -1.5]))
 
-    def send(self, k, values, epoch):
-        self.inputs.publish(sample("sim", epoch, k, np.asarray(values, float), 1))
+    def send(self, k, values, epoch, sender=0):
+        self.inputs.publish(sample("sim", epoch, k, np.asarray(values, float), 1, sender=sender))
 
 
 @pytest.fixture
-def world(domain_id, tmp_path):
-    """A simulator and a gateway on one executor, and a way to wait."""
+def world(domain_id, tmp_path, request):
+    """A simulator and a gateway on one executor, and a way to wait; a parameter is added to the tag map."""
     path = tmp_path / "tags.yaml"
-    path.write_text(TAGS)
+    path.write_text(TAGS + getattr(request, "param", ""))
+    (tmp_path / "kept.json").write_text('{"round_trip": 0.5}')
     with ros([], domain_id) as context:
         executor = make_executor("events", context)
         spinner = Spinner(executor)
@@ -120,12 +123,15 @@ def test_from_shadow_to_run_to_fallback_and_back(world):
     assert ask(sim.auto, SetBool.Request(data=True)).success
     until(lambda: sim.infos[-1].epoch == 2)
     assert not ask(sim.acknowledge, Trigger.Request()).success
-    sim.send(0, [0.5, -0.5, 0.125], epoch=2)
+    sim.send(0, [0.5, -0.5, 0.125], epoch=2, sender=3)
     until(lambda: len(sim.told) == 2)
+    sim.send(1, [0.5, -0.5, 0.125], epoch=2, sender=4)  # another controller, while the first is still there
+    until(lambda: gateway.gateway.guard.counts.refused["another commands"] == 1)
     assert [0.5, -0.5] in sim.told
     assert 0.125 in sim.told
     until(lambda: sim.samples[-1].epoch == 2)
     assert len(sim.samples[-1].quality) == 0
+    assert sim.samples[-1].sender == 3
 
     # nobody sends commands any more: DEGRADED, then FALLBACK with the safe values
     until(lambda: gateway.gateway.state == "FALLBACK")
@@ -153,6 +159,28 @@ def test_a_simulator_that_stops_is_noticed_and_its_return_needs_no_restart(world
         return gateway.gateway.state == "RUN"
 
     until(running)
+
+
+@pytest.mark.parametrize("world", ["round_trip: {file: kept.json}\n"], indirect=True)
+def test_the_round_trip_of_the_data_outlives_the_session(world, tmp_path):
+    """The file says 0.5 s, 10 samples away from now: AUTO is refused until new data are announced, then kept anew."""
+    gateway, sim, until, ask = world
+    kept = tmp_path / "kept.json"
+    until(lambda: len(sim.samples) > 5)
+    answer = ask(sim.auto, SetBool.Request(data=True))
+    assert not answer.success
+    assert "it was 500 ms when the data were collected: collect new data" in answer.message
+    assert ask(sim.new_data, Trigger.Request()).success
+    assert not kept.exists()
+    assert ask(sim.auto, SetBool.Request(data=True)).success
+    until(kept.exists)
+    assert load_round_trip(kept) == gateway.gateway.round_trip.reference < 0.1
+    kept.write_text('{"round_trip": -1}')
+    with pytest.raises(ValueError, match="is impossible"):
+        load_round_trip(kept)
+    kept.write_text("[]")
+    with pytest.raises(ValueError, match=r"holds no round trip .* delete it if new data will be collected"):
+        load_round_trip(kept)
 
 
 @pytest.mark.parametrize(

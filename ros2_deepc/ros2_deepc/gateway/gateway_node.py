@@ -15,6 +15,7 @@ from deepc_msgs.msg import PlantInfo, Sample
 from std_srvs.srv import SetBool, Trigger
 
 from ..ros import topics
+from ..ros.claim import Claimants, Owner
 from ..ros.convert import sample, stamp
 from ..ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from ..ros.lifecycle import ManagedNode
@@ -23,7 +24,7 @@ from ..ros.run import run_node
 from . import round_trip
 from .core import Gateway, Outputs
 from .engine import Engine
-from .guard import Command
+from .guard import Command, Refusal
 from .link import Link, make_link
 from .load import load
 from .loop_thread import LoopThread
@@ -59,6 +60,8 @@ class GatewayNode(ManagedNode):
         self._info = self.advertise(topics.PLANT_INFO)
         self._outputs = self.advertise(topics.OUTPUTS, lockstep=False, sample_time=self.tags.period)
         self.subscribe(topics.INPUTS, self._on_inputs, lockstep=False)
+        self._claimants = Claimants(self)
+        self.resources.callback(self._claimants.destroy)
         if self._mirror is not None:
             self._watch(self._mirror)
         self._diagnostics = Diagnostics(self, self.tags.plant.name)
@@ -75,6 +78,7 @@ class GatewayNode(ManagedNode):
         reference = self._reference()
         self.gateway = Gateway(self.tags, time.monotonic(), reference)
         self._engine = Engine(self.gateway, self._link, on_outputs=self._publish, on_look=self._look)
+        self._owner = Owner(self._claimants, 2.0 * self.tags.period)
         self._announced, self._told = 0, ("", "")
         self._samples = 0
         self._thread = LoopThread(self._failed)
@@ -105,16 +109,25 @@ class GatewayNode(ManagedNode):
             zone=msg.header.frame_id, source="controller", epoch=int(msg.epoch), k=int(msg.k), values=list(msg.values),
             quality=list(msg.quality),
         )  # fmt: skip
-        self._thread.tell(self._command, command)
+        self._thread.tell(self._command, command, int(msg.sender))
 
-    def _command(self, command: Command) -> None:
+    def _command(self, command: Command, sender: int) -> None:
         assert self.gateway is not None
-        if self._engine.command(command) is not None and self.gateway.state is not State.SHADOW:
-            self.get_logger().warning(f"inputs refused: {self.gateway.guard.reason}", throttle_duration_sec=5.0)
+        guard = self.gateway.guard
+        if foreign := self._owner.refusal(sender):
+            refusal: Refusal | None = guard.refuse(Refusal.FOREIGN, foreign)
+        else:
+            refusal = self._engine.command(command)
+        if refusal is None:
+            self._owner.follow(sender)
+        elif self.gateway.state is not State.SHADOW:
+            self.get_logger().warning(f"inputs refused: {guard.reason}", throttle_duration_sec=5.0)
 
     def _publish(self, outputs: Outputs) -> None:
         vector = outputs.vector
-        msg = sample(self.tags.plant.name, outputs.epoch, outputs.k, vector.values, vector.stamp_ns, outputs.held)
+        sender = (self._owner.sender or 0) if outputs.epoch else 0
+        name = self.tags.plant.name
+        msg = sample(name, outputs.epoch, outputs.k, vector.values, vector.stamp_ns, outputs.held, sender)
         if vector.quality.any():
             msg.quality = vector.quality.tolist()
         self._outputs.publish(msg)
@@ -218,7 +231,7 @@ class GatewayNode(ManagedNode):
 def plant_info(tags: TagMap, epoch: int, now_ns: int) -> PlantInfo:
     """What the gateway says of the plant."""
     plant = tags.plant
-    info = PlantInfo(name=plant.name, variant=plant.variant, epoch=epoch, lockstep=False)
+    info = PlantInfo(name=plant.name, variant=plant.variant, epoch=epoch, lockstep=False, speed=tags.speed)
     info.header.frame_id, info.header.stamp = plant.name, stamp(now_ns)
     info.sample_time = plant.sample_time
     info.input_names, info.input_units = [t.name for t in tags.inputs], [t.unit for t in tags.inputs]

@@ -19,6 +19,7 @@ class Refusal(StrEnum):
     MODE = "mode"
     ZONE = "zone"
     PERMIT = "permit"
+    FOREIGN = "another commands"
     EPOCH = "epoch"
     SIZE = "size"
     QUALITY = "quality"
@@ -116,6 +117,11 @@ class Guard:
         if isinstance(verdict, Refusal):
             self.counts.refused[verdict] += 1
         return verdict
+
+    def refuse(self, refusal: Refusal, reason: str) -> Refusal:
+        """Counts a command that never came as far as being judged."""
+        self.counts.refused[refusal] += 1
+        return self._no(refusal, reason)
 
     def _formal(self, command: Command, moment: Moment) -> Refusal | None:
         """Everything but the numbers themselves."""
