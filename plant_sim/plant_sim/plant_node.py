@@ -28,7 +28,6 @@ from .describe import describe
 from .plant import Plant
 from .plant_file import load
 
-_AHEAD = 1000  # samples for which inputs may come early
 _AHEAD = 1000  # samples that inputs may be early: what waits for its tick must not grow without end
 
 PARAMETERS = (
@@ -204,15 +203,14 @@ class PlantNode(ManagedNode):
         reason = refusal(msg, len(self.plant.input_names))
         if not reason and msg.epoch != self._epoch:
             reason = f"epoch {msg.epoch} instead of {self._epoch}"
-        if not reason and not (msg.k == self._k if self._lockstep else self._k <= msg.k < self._k + _AHEAD):
-            reason = f"inputs {msg.k} when {self._k} are expected"
         if not reason and (reason := self._owner.refusal(int(msg.sender))):
             self.foreign += 1
-        if not reason and msg.k > self._k + _AHEAD:
-            reason = f"inputs {msg.k} are too far ahead of {self._k}"
+        if not reason and not (msg.k == self._k if self._lockstep else self._k <= msg.k < self._k + _AHEAD):
+            reason = f"inputs {msg.k} when {self._k} are expected"
         if reason:
             self._refuse(reason)
             return
+        self._owner.follow(int(msg.sender))
         u = np.array(msg.values)
         if self._lockstep:
             self._step(u)
@@ -235,7 +233,6 @@ class PlantNode(ManagedNode):
         now = time.monotonic()
         u = self._pending.pop(self._k, None)
         if u is None:
-            assert self._last is not None
             self.held_samples += 1
             self._health.overdue()
             u = self._hold(self._last)

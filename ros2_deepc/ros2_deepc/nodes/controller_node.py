@@ -60,9 +60,9 @@ class ControllerNode(ManagedNode):
     def configure(self) -> None:
         """Makes the topics and services that do not depend on the plant."""
         self._agent: Agent | None = None
+        self._waits = False  # for another controller to go
         self._inputs: PatientPublisher | None = None
         self._state: PatientPublisher | None = None
-        self._holder: Holder | None = None
         self._early: dict[int, Sample] = {}
         self._wanted: dict[str, Any] = {}  # parameters that change at the next sample
         self._diagnostics = Diagnostics(self, "")
@@ -78,6 +78,8 @@ class ControllerNode(ManagedNode):
         heed = self.guarded(lambda _: self._heed_claims())
         self._claimants = Claimants(self, lambda: heed(None))
         self.resources.callback(self._claimants.destroy)
+        self._holder = Holder(self, self._commands, beside=lambda: heed(None))
+        self.resources.callback(self._holder.destroy)
         self.subscribe(topics.PLANT_INFO, self._on_plant)
         self.subscribe(topics.REFERENCE, self._on_reference)
         if self.p["heed_monitor"]:
@@ -86,7 +88,7 @@ class ControllerNode(ManagedNode):
     def activate(self) -> None:
         """Claims the plant."""
         self._agent, self._follows, self._waits = None, 0, False
-        self._holder = Holder(self, self._commands)
+        self._holder.take()
 
     def deactivate(self) -> None:
         """Leaves a last input behind in real time, and gives the plant up."""
@@ -95,9 +97,7 @@ class ControllerNode(ManagedNode):
             if last is not None:
                 self._enter(changes.LEAVE, self.p["stop"])
                 self._send(*last)
-        if self._holder is not None:
-            self._holder.release()
-            self._holder = None
+        self._holder.release()
 
     # The plant and who commands it
 
@@ -149,7 +149,6 @@ class ControllerNode(ManagedNode):
 
         The plant decides whom it follows; where it does not say so, the claim that is older stands.
         """
-        assert self._holder is not None
         if self._follows == self._holder.id:
             return ""
         if self._follows and self._claimants.alive(self._follows):
@@ -163,7 +162,7 @@ class ControllerNode(ManagedNode):
         Raises:
             ConfigError: in one line.
         """
-        if self._agent is None or self._holder is None:
+        if self._agent is None:
             return
         other = self._other()
         if other and self.p["standby"]:
@@ -299,7 +298,6 @@ class ControllerNode(ManagedNode):
 
     def _send(self, k: int, u: np.ndarray) -> None:
         assert self._inputs is not None
-        assert self._holder is not None
         time_ns = self._t0 + k * self._period
         self._inputs.publish(sample(self._info.name, self._info.epoch, k, u, time_ns, sender=self._holder.id))
 
@@ -324,7 +322,6 @@ class ControllerNode(ManagedNode):
         text = "; ".join([decision.mode.name, *complaints])
         if self._diagnostics.due(level, text):
             self._diagnostics.report(level, text, self._numbers(msg, decision))
-        assert self._holder is not None
         if self._commands() != self._holder.claim.commands:
             self._holder.beat()
 

@@ -4,7 +4,8 @@
 """Who may command a plant: heartbeats under a liveliness contract, one id for each activation of a controller.
 
 Liveliness is MANUAL_BY_TOPIC, asserted by each heartbeat: with AUTOMATIC, Fast DDS declares a writer of the same
-process dead after its first lease.
+process dead after its first lease. Nodes do not wait for DDS's liveliness events, which count writers without naming
+them and crash EventsExecutor when an entity is destroyed beside them; they look at each heartbeat of their own.
 """
 
 import os
@@ -16,7 +17,6 @@ from collections.abc import Callable
 from deepc_msgs.msg import Claim
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
 
@@ -24,7 +24,7 @@ from . import topics
 from .convert import stamp
 
 LEASE = 2.0
-"""[s] without a sign of life after which a claim is void."""
+"""[s] without a sign of life after which a claim is void, here and for DDS."""
 _BEAT = LEASE / 4
 _READERS_DEPTH = 100  # claims that may arrive before a reader looks
 
@@ -44,7 +44,7 @@ class Claimants:
 
     Args:
         node: on which to listen.
-        changed: called after every claim, and when somebody stopped giving signs of life.
+        changed: called after every claim that says something new.
     """
 
     def __init__(self, node: Node, changed: Callable[[], None] = lambda: None) -> None:
@@ -56,13 +56,12 @@ class Claimants:
             topics.CLAIM.name,
             self._on_claim,
             _profile(_READERS_DEPTH),
-            event_callbacks=SubscriptionEventCallbacks(liveliness=lambda _: self._changed()),
         )
 
-    def alive(self, sender: int, lease: float = LEASE) -> bool:
-        """Whether there was a sign of life within ``lease`` [s], and no word that the plant was given up."""
-        claim = self._claims.get(sender)
-        return (claim is None or claim.commands) and time.monotonic() - self._seen.get(sender, -lease) < lease
+    def alive(self, sender: int, patience: float = LEASE) -> bool:
+        """Whether there was a sign of life within ``patience`` [s], and no word that the plant was given up."""
+        claim, seen = self._claims.get(sender), self._seen.get(sender)
+        return (claim is None or claim.commands) and seen is not None and time.monotonic() - seen < patience
 
     def note(self, sender: int) -> None:
         """Another sign of life: inputs of that sender, heard before its claim or beside it."""
@@ -83,9 +82,11 @@ class Claimants:
         self._node.destroy_subscription(self._subscription)
 
     def _on_claim(self, msg: Claim) -> None:
+        before = self._claims.get(int(msg.id))
         self._claims[int(msg.id)] = msg
         self.note(int(msg.id))
-        self._changed()
+        if before != msg:
+            self._changed()
 
 
 class Owner:
@@ -93,41 +94,44 @@ class Owner:
 
     Args:
         claimants: signs of life.
-        lease: [s] without inputs after which a sender that makes no claims is gone.
+        patience: [s] without inputs after which a sender that makes no claims is gone.
     """
 
-    def __init__(self, claimants: Claimants, lease: float) -> None:
-        self._claimants, self._lease = claimants, max(lease, LEASE)
+    def __init__(self, claimants: Claimants, patience: float) -> None:
+        self._claimants, self._patience = claimants, max(patience, LEASE)
         self.sender: int | None = None
 
     def refusal(self, sender: int) -> str:
-        """Why the inputs of a sender are not taken, in one line; empty if they are, and it is the owner from now on."""
-        if self.sender not in (None, sender) and self._claimants.alive(self.sender, self._lease_of(self.sender)):
-            return f"{self._claimants.who(self.sender)} commands the plant, not {self._claimants.who(sender)}"
+        """Why inputs of a sender are not taken, in one line; empty if they may be."""
+        if self.sender is None or self.sender == sender:
+            return ""
+        if not self._claimants.alive(self.sender, LEASE if self.sender else self._patience):
+            return ""
+        return f"{self._claimants.who(self.sender)} commands the plant, not {self._claimants.who(sender)}"
+
+    def follow(self, sender: int) -> None:
+        """Inputs of a sender are taken."""
         self.sender = sender
         self._claimants.note(sender)
-        return ""
-
-    def _lease_of(self, sender: int) -> float:
-        return LEASE if sender else self._lease
 
 
 class Holder:
-    """A controller's own claim: one heartbeat every half a second from `take` to `release`.
+    """A controller's own claim: a heartbeat every half a second from `take` to `release`.
+
+    Its entities live as long as the node is configured: an executor may be about to look at them at any other time.
 
     Args:
         node: on which to publish.
         commands: whether it commands the plant now, or only waits.
+        beside: called with every heartbeat, to look who is gone.
     """
 
-    def __init__(self, node: Node, commands: Callable[[], bool]) -> None:
-        self._node, self._commands = node, commands
-        self.claim = Claim(id=secrets.randbits(63) + 1)
-        self.claim.header.stamp = stamp(time.time_ns())
-        self.claim.who = f"{node.get_fully_qualified_name()}, process {os.getpid()} on {socket.gethostname()}"
+    def __init__(self, node: Node, commands: Callable[[], bool], beside: Callable[[], None] = lambda: None) -> None:
+        self._node, self._commands, self._beside = node, commands, beside
+        self._held = False
+        self.claim = Claim(who=f"{node.get_fully_qualified_name()}, process {os.getpid()} on {socket.gethostname()}")
         self._publisher = node.create_publisher(topics.CLAIM.type, topics.CLAIM.name, _profile(1))
-        self._timer = node.create_timer(_BEAT, self.beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.beat()
+        self._timer = node.create_timer(_BEAT, self._on_beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
     def id(self) -> int:
@@ -138,16 +142,31 @@ class Holder:
         """Whether this claim is older than another one."""
         return _seniority(self.claim) < _seniority(other)
 
+    def take(self) -> None:
+        """Claims the plant, as somebody new."""
+        self.claim.id = secrets.randbits(63) + 1
+        self.claim.header.stamp = stamp(time.time_ns())
+        self._held = True
+        self.beat()
+
     def beat(self) -> None:
-        """Says so now; call it when it begins or ceases to command."""
-        self.claim.commands = self._commands()
-        self._publisher.publish(self.claim)
+        """Says now whether it commands; call it when that changes."""
+        if self._held:
+            self.claim.commands = self._commands()
+            self._publisher.publish(self.claim)
+
+    def _on_beat(self) -> None:
+        self._beside()
+        self.beat()
 
     def release(self) -> None:
-        """Gives the plant up and leaves the graph."""
-        self._node.destroy_timer(self._timer)
-        self.claim.commands = False
+        """Gives the plant up."""
+        self._held, self.claim.commands = False, False
         self._publisher.publish(self.claim)
+
+    def destroy(self) -> None:
+        """Takes everything off the graph."""
+        self._node.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)
 
 
