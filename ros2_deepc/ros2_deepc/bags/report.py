@@ -17,6 +17,7 @@ from .check import Check, check
 from .errors import BagError, why
 from .figure import seconds
 from .panels import events, page_data
+from .progress import Progress, no_progress
 from .reader import BagReader
 from .run import PROPERTIES, VERDICTS, Run, load_run
 from .style import PROPERTY, VERDICT
@@ -26,7 +27,11 @@ SETTINGS = "settings.yaml"  # attachment with the parameters of the run, by node
 
 
 def write_report(
-    bag: str | os.PathLike[str], out: str | os.PathLike[str], *, namespace: str | None = None
+    bag: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    namespace: str | None = None,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Writes the report of a bag.
 
@@ -34,6 +39,7 @@ def write_report(
         bag: folder or file.
         out: the HTML file.
         namespace: of the plant; default the only one.
+        progress: called now and then with messages done and in all; every message is read twice.
 
     Returns:
         The summary, see ``summarize``.
@@ -42,9 +48,10 @@ def write_report(
         BagError: if the bag cannot be read or the file cannot be written.
     """
     reader = BagReader(bag)
-    run = load_run(reader, namespace)
+    run = load_run(reader, namespace, progress=lambda done, total: progress(done, 2 * total))
     summary = summarize(run)
-    page = _page(run, reader, summary, check(bag))
+    checked = check(bag, progress=lambda done, total: progress(total + done, 2 * total))
+    page = _page(run, reader, summary, checked)
     try:
         Path(out).write_text(page, encoding="utf-8")
     except OSError as error:

@@ -168,10 +168,10 @@ class _Samples:
         good[[row for row, _ in block.bad]] = False
         values, widths = block.vectors("values")
         quality, _ = block.vectors("quality")
-        columns = {
+        columns: dict[str, NDArray[Any]] = {
             "epoch": block.column("epoch", np.int64, 0), "k": block.column("k", np.uint64, 0), "stamp": stamps(block),
             "held": block.column("held", np.int64, 0), "widths": widths,
-            "doubtful": np.nan_to_num(quality).any(axis=1),
+            "doubtful": np.asarray(np.nan_to_num(quality).any(axis=1)),
         }  # fmt: skip
         return cls({name: column[good] for name, column in columns.items()}, values[good])
 

@@ -20,6 +20,7 @@ from ..bags.reader import BagReader
 from ..bags.report import write_report
 from ..bags.run import find_namespace, load_run
 from ..bags.summary import summarize
+from .bar import bar
 from .demo import print_summary
 
 Bag = Annotated[Path, typer.Argument(help="Folder of the bag, or one .mcap file.")]
@@ -35,7 +36,9 @@ def report(bag: Bag, out: Out = None, namespace: Zone = None) -> None:
     """
     out = out or Path(f"{bag.resolve().name}.html")
     console = Console()
-    print_summary(console, write_report(bag, out, namespace=namespace))
+    with bar(console, "reading") as progress:
+        summary = write_report(bag, out, namespace=namespace, progress=progress)
+    print_summary(console, summary)
     console.print(f"  report: {out}", soft_wrap=True)
 
 
@@ -46,8 +49,9 @@ def check(
 
     Repairs into a new bag, never in place.
     """
-    found = repair(bag, fixed) if fixed is not None else check_bag(bag)
     console = Console()
+    with bar(console, "reading") as progress:
+        found = repair(bag, fixed) if fixed is not None else check_bag(bag, progress=progress)
     for finding in found.findings:
         console.print(str(finding), soft_wrap=True, highlight=False, markup=False)
     console.print(f"{found.messages} messages, {'nothing that matters found' if found.ok else 'see above'}")
@@ -67,7 +71,9 @@ def export(
     Example:
       ros2-deepc export runs/today/bag --out today.csv
     """
-    run = load_run(bag, namespace)
+    console = Console()
+    with bar(console, "reading") as progress:
+        run = load_run(bag, namespace, progress=progress)
     kind = out.suffix.lower()
     if kind == ".png":
         draw(run, out)
@@ -75,7 +81,7 @@ def export(
         out.write_text(json.dumps(summarize(run), indent=2) + "\n", encoding="utf-8")
     else:
         export_run(run, out)
-    Console().print(f"{len(run)} samples: {out}", soft_wrap=True)
+    console.print(f"{len(run)} samples: {out}", soft_wrap=True)
 
 
 def layout(
