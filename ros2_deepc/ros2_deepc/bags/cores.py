@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ros2_deepc.control.agent import Agent, Decision
+from ros2_deepc.control.joined import Joined
 from ros2_deepc.monitors.live import Job, LiveMonitor, LiveReport
 
 from .replay import Answer
@@ -23,10 +24,18 @@ class ControllerCore:
     Args:
         agent: a fresh one, made as the controller node makes it.
         message: turns a decision into an object with the fields of ControllerState.
+        change: applies a recorded change to the agent and returns the inputs that come of it, by index; None: changes
+            are not known.
     """
 
-    def __init__(self, agent: Agent, message: Callable[[Agent, Decision], Any]) -> None:
-        self._agent, self._message = agent, message
+    def __init__(
+        self,
+        agent: Agent,
+        message: Callable[[Agent, Decision], Any],
+        change: Callable[[Agent, int, str, str], list[tuple[int, Array]]] | None = None,
+    ) -> None:
+        self._agent, self._message, self._change = agent, message, change
+        self._joined: Joined[tuple[Array, int]] = Joined(agent.disturbances, agent.settings.disturbances > 0)
         self._started = False
 
     def reference(self, k: int, values: Array) -> list[Answer]:
@@ -42,7 +51,24 @@ class ControllerCore:
         return []
 
     def outputs(self, k: int, values: Array, held: int) -> list[Answer]:
-        """Decides as the node did. What never crossed the topics, such as a request for a mode, it cannot know."""
+        """Decides as the node did, once the disturbances of the sample are there, too."""
+        return self._answers(self._joined.outputs(k, (values, held)))
+
+    def disturbances(self, k: int, values: Array) -> list[Answer]:
+        """Takes measured disturbances and their forecast."""
+        self._agent.disturbances.set(k, np.reshape(values, (-1, self._agent.settings.disturbances)))
+        return self._answers(self._joined.told())
+
+    def change(self, k: int, name: str, value: str) -> list[Answer]:
+        """Takes what an operator or the clock did."""
+        if self._change is None:
+            return []
+        return [_inputs(i, u) for i, u in self._change(self._agent, k, name, value)]
+
+    def _answers(self, ready: list[tuple[int, tuple[Array, int]]]) -> list[Answer]:
+        return [answer for k, (values, held) in ready for answer in self._answer(k, values, held)]
+
+    def _answer(self, k: int, values: Array, held: int) -> list[Answer]:
         if not self._started:
             return []
         decision = self._agent.step(k, values, held)
@@ -58,10 +84,16 @@ class MonitorCore:
     Args:
         live: a fresh one, made as the monitor node makes it.
         message: turns a report into an object with the fields of MonitorReport.
+        change: applies a recorded change to the monitor; None: changes are not known.
     """
 
-    def __init__(self, live: LiveMonitor, message: Callable[[LiveReport], Any]) -> None:
-        self._live, self._message = live, message
+    def __init__(
+        self,
+        live: LiveMonitor,
+        message: Callable[[LiveReport], Any],
+        change: Callable[[LiveMonitor, int, str, str], None] | None = None,
+    ) -> None:
+        self._live, self._message, self._change = live, message, change
 
     def reference(self, k: int, values: Array) -> list[Answer]:  # noqa: ARG002
         """Nothing: the monitors do not know references."""
@@ -74,6 +106,16 @@ class MonitorCore:
     def outputs(self, k: int, values: Array, held: int) -> list[Answer]:
         """Takes outputs k."""
         return self._answers(self._live.output(k, values, held))
+
+    def disturbances(self, k: int, values: Array) -> list[Answer]:  # noqa: ARG002
+        """Nothing: the monitors do not know disturbances."""
+        return []
+
+    def change(self, k: int, name: str, value: str) -> list[Answer]:
+        """Takes parameters that changed while it ran."""
+        if self._change is not None:
+            self._change(self._live, k, name, value)
+        return []
 
     def _answers(self, jobs: list[Job]) -> list[Answer]:
         return [("monitor/report", job.k, self._message(self._live.analyse(job))) for job in jobs]

@@ -26,6 +26,7 @@ WAITING = 1000  # answers that may wait for their counterpart before they count 
 
 
 ANSWERS = {"controller": ("inputs", "controller/state"), "monitor": ("monitor/report",)}  # topics of each part
+CHANGES = {"controller": "controller/changes", "monitor": "monitor/changes"}  # what else entered each part
 Answer = tuple[str, int, Any]  # topic, k, an object with the message's fields
 
 
@@ -40,6 +41,12 @@ class Core(Protocol):
 
     def outputs(self, k: int, values: Array, held: int) -> list[Answer]:
         """Takes outputs k."""
+
+    def disturbances(self, k: int, values: Array) -> list[Answer]:
+        """Takes the disturbances measured at k and, after them, those forecast; flat."""
+
+    def change(self, k: int, name: str, value: str) -> list[Answer]:
+        """Takes what entered besides samples before outputs k, see deepc_msgs/Change."""
 
 
 CoreFactory = Callable[[Any], Core]  # from the recorded PlantInfo; one Core per epoch
@@ -91,30 +98,40 @@ def replay(
     reader = bag if isinstance(bag, BagReader) else BagReader(bag)
     prefix = find_namespace(reader, namespace)
     matcher = _Matcher({topic for name in cores for topic in ANSWERS[name]})
+    changes = {name: _changes(reader, f"{prefix}/{CHANGES[name]}") for name in cores}
     feeder: _Feeder | None = None
     total = reader.message_count
     for done, (topic, message) in enumerate(_stream(reader, prefix)):
         if topic == "plant_info":
             if feeder is not None:
-                feeder.flush()
-            feeder = _Feeder(message, [make(message) for make in cores.values()], matcher)
+                feeder.finish()
+            made = [(make(message), changes[name].pop(message.epoch, [])) for name, make in cores.items()]
+            feeder = _Feeder(message, made, matcher)
         elif feeder is not None:
             feeder.take(topic, message)
         if done % 1000 == 0:
             progress(done, total)
     if feeder is None:
         raise BagError(f"bag {reader.path} has no message on {prefix}/plant_info: nothing says what the plant is")
-    feeder.flush()
+    feeder.finish()
     progress(total, total)
     return matcher.result()
 
 
-_TOPICS = ("plant_info", "outputs", "inputs", "reference", "controller/state", "monitor/report")
+_TOPICS = ("plant_info", "outputs", "inputs", "reference", "disturbances", "controller/state", "monitor/report")
 
 
 def _stream(reader: BagReader, prefix: str) -> Iterator[tuple[str, Any]]:
     for raw, message in reader.decoded([f"{prefix}/{name}" for name in _TOPICS]):
         yield raw.topic[len(prefix) + 1 :], message
+
+
+def _changes(reader: BagReader, topic: str) -> dict[int, list[Any]]:
+    """All changes of one part by epoch, in order: few, and needed before a recorder may have seen them."""
+    found: dict[int, list[Any]] = {}
+    for _, message in reader.decoded([topic]):
+        found.setdefault(message.epoch, []).append(message)
+    return found
 
 
 class _Feeder:
@@ -125,7 +142,7 @@ class _Feeder:
     go first.
     """
 
-    def __init__(self, info: Any, cores: list[Core], matcher: "_Matcher") -> None:
+    def __init__(self, info: Any, cores: list[tuple[Core, list[Any]]], matcher: "_Matcher") -> None:
         self._epoch, self._cores, self._matcher = info.epoch, cores, matcher
         self._sizes = {"inputs": len(info.input_names), "outputs": len(info.output_names)}
         self._k = -1
@@ -148,10 +165,27 @@ class _Feeder:
         for topic, message in sorted(kept or (), key=lambda item: item[0] != "reference"):
             self._deliver(topic, message)
 
+    def finish(self) -> None:
+        """The epoch ends: what was kept back, then the changes after its last outputs."""
+        self.flush()
+        for core, changes in self._cores:
+            self._change(core, changes, None)
+
+    def _change(self, core: Core, changes: list[Any], k: int | None) -> None:
+        """Hands over the changes that came before outputs k; None: all."""
+        while changes and (k is None or changes[0].k <= k):
+            change = changes.pop(0)
+            for answer in core.change(change.k, change.name, change.value):
+                self._matcher.computed(self._epoch, *answer)
+
     def _deliver(self, topic: str, message: Any) -> None:
-        for core in self._cores:
+        for core, changes in self._cores:
+            if topic == "outputs":
+                self._change(core, changes, message.k)
             for answer in self._ask(core, topic, message):
                 self._matcher.computed(self._epoch, *answer)
+        if getattr(message, "overdue", False):
+            return  # decided by the clock, stands among the changes
         if topic == "outputs":
             self._k = max(self._k, message.k)
             self._matcher.output(message)
@@ -161,6 +195,8 @@ class _Feeder:
     def _ask(self, core: Core, topic: str, message: Any) -> list[Answer]:
         if topic == "reference":
             return core.reference(message.k, message.values)
+        if topic == "disturbances":
+            return core.disturbances(message.k, message.values) if np.isfinite(message.values).all() else []
         if topic not in self._sizes or len(message.values) != self._sizes[topic]:
             return []
         if not np.isfinite(message.values).all() or message.quality.any():

@@ -4,14 +4,13 @@
 """`ros2-deepc replay`: a recorded run again, over topics or through today's code."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from ..bags.cores import ControllerCore, MonitorCore
 from ..bags.figure import draw
 from ..bags.reader import BagReader
 from ..bags.replay import replay as compare
@@ -20,9 +19,9 @@ from ..bags.whatif import what_if
 from ..control import DeepcController
 from ..demo import SETTINGS
 from ..nodes.config import Parameters, load, parse
-from ..nodes.controller_node import make_agent, settings_for, state_message
-from ..nodes.monitor_node import make_live, report_message
+from ..nodes.controller_settings import settings_for
 from ..nodes.player import Player
+from ..nodes.replaying import cores
 from ..ros.parameters import ConfigError
 from ..ros.run import ros
 
@@ -77,15 +76,12 @@ def _settings(bag: Path, given: Path | None) -> Parameters:
 def _recompute(console: Console, bag: Path, part: str, parameters: Parameters, namespace: str | None) -> None:
     if part not in _PARTS:
         raise ConfigError(f"--recompute {part}: choose one of {', '.join(_PARTS)}")
-    makers: dict[str, Any] = {
-        "controller": lambda info: ControllerCore(make_agent(parameters["controller"], info), state_message),
-        "monitor": lambda info: MonitorCore(make_live(parameters.get("monitor", {}), info), report_message),
-    }
-    cores = makers if part == "all" else {part: makers[part]}
+    makers = cores(parameters)
+    chosen = makers if part == "all" else {part: makers[part]}
     with Progress(console=console, transient=True) as bar:
         task = bar.add_task("replaying")
         result = compare(
-            bag, cores, namespace=namespace, progress=lambda done, total: bar.update(task, completed=done, total=total)
+            bag, chosen, namespace=namespace, progress=lambda done, total: bar.update(task, completed=done, total=total)
         )
     for topic, count in result.compared.items():
         console.print(f"  {topic}: {count} compared")

@@ -38,12 +38,12 @@ class Changes:
     """Repeats recorded changes on an agent.
 
     Args:
-        parameters: of the controller when the run began.
+        parameters: of the controller when the run began; changes go into them.
         info: of the plant.
     """
 
-    def __init__(self, parameters: Mapping[str, Any], info: PlantInfo) -> None:
-        self._parameters, self._info = dict(parameters), info
+    def __init__(self, parameters: dict[str, Any], info: PlantInfo) -> None:
+        self._parameters, self._info = parameters, info
 
     def apply(self, agent: Agent, k: int, name: str, text: str) -> list[tuple[int, Array]]:
         """Applies one change before outputs k; returns the inputs that come of it, with their index."""

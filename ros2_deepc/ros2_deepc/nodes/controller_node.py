@@ -394,7 +394,7 @@ class ControllerNode(ManagedNode):
                 return SetParametersResult(successful=False, reason=complaint)
         try:
             if self._agent is not None:
-                make_agent(self.p | wanted, self._info)
+                make_agent(self.p | self._wanted | wanted, self._info)
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
         self._wanted |= wanted

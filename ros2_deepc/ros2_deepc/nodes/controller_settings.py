@@ -63,7 +63,7 @@ PARAMETERS = (
     _row("mask", [1.0], "weight of each output in [0, 1]; 0 = not chased", low=0.0, high=1.0),
     _row("terminal", "equilibrium", "what the plan must end in", choices=get_args(Terminal)),
     _row("terminal_steps", 0, "samples at the end for which it holds; 0 = N", "samples", low=0, high=1000),
-    _row("terminal_weight", 1e4, "price of violating it, relative to Q", low=0.0),
+    _row("terminal_weight", 1e7, "price of violating it, relative to Q", low=0.0),
     _row("offset_weight", 1000.0, "price of the steady state's distance from the reference, relative to Q", low=0.0),
     _row("slack_weight", 1000.0, "price of violating an output limit, relative to Q", low=0.0),
     _row("solver", "osqp", "solver tried first; the other one is the second try", choices=get_args(Solver)),
