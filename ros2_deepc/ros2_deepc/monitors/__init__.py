@@ -4,6 +4,7 @@
 
 from .analysis import analyze, analyze_factor, analyze_records
 from .estimate import estimate_structure
+from .increments import increments
 from .indicator import Indicator, indicate
 from .noise import Noise
 from .verdict import Finding, Mode, Printed, Prior, Report, StructureEstimate, Verdict
@@ -26,6 +27,7 @@ __all__ = [
     "analyze_factor",
     "analyze_records",
     "estimate_structure",
+    "increments",
     "indicate",
     "parameterize",
     "required_length",
