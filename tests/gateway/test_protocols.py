@@ -4,8 +4,6 @@
 """Links against servers: what is read and written, what is refused, what happens to garbage."""
 
 import asyncio
-import socket
-import time
 
 import numpy as np
 import pytest
@@ -23,7 +21,7 @@ def plant():
 
 class TestModbus:
     @pytest.fixture
-    def served(self, plant, free_port):
+    def served(self, plant, free_port, soon):
         """A tag map and a running field, as a function of what to do with the link."""
         pytest.importorskip("pymodbus")
         from ros2_deepc.gateway.field_modbus import ModbusField
@@ -37,7 +35,7 @@ class TestModbus:
                 device = Device(plant)
                 field = ModbusField(device, "127.0.0.1", port, "float32", 0.01)
                 running = asyncio.create_task(field.run())
-                await asyncio.sleep(0.05)
+                await soon(lambda: device.count)
                 link = make_link(loads(change(text)))
                 try:
                     return await use(link, device, field)
@@ -50,14 +48,14 @@ class TestModbus:
 
         return run
 
-    def test_reads_in_one_request_and_writes_in_one(self, served, plant):
+    def test_reads_in_one_request_and_writes_in_one(self, served, soon):
         async def use(link, device, field):
             writes = []
             field.registers._on_write = lambda *where: writes.append(where)
             await link.connect()
             assert link.atomic
             await link.write(np.array([0.25, -0.5, 0.75, 9.0]))
-            await asyncio.sleep(0.05)
+            await soon(lambda: field.registers.tables["input"][1] == 9)
             scan = await link.read()
             return scan, writes, device
 
@@ -115,7 +113,7 @@ class Opcua:
         counts: what the server refused so far.
     """
 
-    def __init__(self, folder, port):
+    def __init__(self, folder, port, until):
         from ros2_deepc.gateway.field_opcua import URI, OpcuaField, opcua_places, writable
         from ros2_deepc.gateway.loop_thread import LoopThread
         from ros2_deepc.gateway.opcua_link import URI as CLIENT
@@ -137,10 +135,7 @@ class Opcua:
         self.counts = self.field.server.refused
         self.thread = LoopThread(print)
         self.thread.start(self.field.run())
-        end = time.monotonic() + 60
-        while self.device.count < 3:
-            assert time.monotonic() < end
-            time.sleep(0.01)
+        until(lambda: self.device.count > 2)
 
     def trusted(self, yes):
         for path in (self.folder / "field" / "trusted").glob("*.der"):
@@ -157,18 +152,14 @@ class Opcua:
                 return await play(link)
             finally:
                 await link.close()
-                await asyncio.sleep(0.02)
 
         return asyncio.run(whole())
 
 
 @pytest.fixture(scope="module")
-def opcua_server(tmp_path_factory):
+def opcua_server(tmp_path_factory, free_port, until):
     pytest.importorskip("asyncua")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    server = Opcua(tmp_path_factory.mktemp("opcua"), port)
+    server = Opcua(tmp_path_factory.mktemp("opcua"), free_port(), until)
     yield server
     server.thread.stop()
 
@@ -222,14 +213,11 @@ class TestOpcua:
         assert len(list((opcua.folder / "field" / "rejected").glob("*.der"))) == 1
         assert opcua.device.echo == before
 
-    def test_reads_and_writes_encrypted(self, opcua):
+    def test_reads_and_writes_encrypted(self, opcua, soon):
         async def play(link):
             await link.connect()
             await link.write(WANTED)
-            end = time.monotonic() + 20
-            while opcua.device.echo != 9 and time.monotonic() < end:
-                await asyncio.sleep(0.01)
-            await asyncio.sleep(0.05)
+            await soon(lambda: opcua.device.echo == 9 and opcua.field.server.get("echo") == 9)
             assert link._client.security_policy.URI.endswith("Basic256Sha256")
             return await link.read()
 
@@ -329,7 +317,6 @@ inputs:
             values.append(((await link.read()).raw, len(asked)))
         await link.close()
         await server.stop()
-        await asyncio.sleep(0.02)
         return values
 
     (first, n1), (second, n2), (third, n3) = asyncio.run(play())

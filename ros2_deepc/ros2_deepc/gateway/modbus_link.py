@@ -103,6 +103,7 @@ class ModbusLink:
         if self._client is not None:
             self._client.close()
             self._client = None
+            await asyncio.sleep(0)  # the loop closes the socket
 
     async def _read(self, block: Block) -> NDArray[np.int_]:
         client = self._connected()

@@ -246,3 +246,4 @@ async def _drop(client: Client) -> None:
         logging.getLogger(__name__).debug("disconnecting: %s", error)
     finally:
         client.disconnect_socket()
+        await asyncio.sleep(0)  # the loop closes the socket
