@@ -11,10 +11,14 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 from deepc_msgs.msg import ControllerState
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.msg import Log
 
-from ros2_deepc.bags import BagError, load_run
+from ros2_deepc.bags import BagError, BagReader, BagWriter, load_run
+from ros2_deepc.bags.convert import to_cdr, type_name
 from ros2_deepc.bags.panels import events, page_data
 from ros2_deepc.bags.report import write_report
+from ros2_deepc.bags.spoken import spoken
 
 VOID = {"meta", "link", "br"}
 
@@ -94,6 +98,46 @@ def test_events_are_in_order_and_where_they_happened(faulty):
     assert (0, 90, pytest.approx(9.0), "reference changes") in found
     assert (0, 70, pytest.approx(7.0), "input not recorded") in found
     assert (0, 110, pytest.approx(11.0), "mode fallback") in found
+
+
+def test_what_nodes_complained_about_is_in_the_report(record, tmp_path):
+    bag = record(K=30, collect=20)
+    said = [
+        (
+            "/diagnostics",
+            DiagnosticArray(status=[DiagnosticStatus(name="zone/controller", level=b"\x01", message="late")]),
+        ),
+        ("/rosout", Log(name="zone.plant", level=30, msg="a sample <twice>")),
+        ("/rosout", Log(name="zone.plant", level=30, msg="a sample <twice>")),
+        ("/rosout", Log(name="zone.plant", level=20, msg="all is well")),
+        (
+            "/diagnostics",
+            DiagnosticArray(status=[DiagnosticStatus(name="zone/controller", level=b"\x00", message="fine")]),
+        ),
+        (
+            "/diagnostics",
+            DiagnosticArray(status=[DiagnosticStatus(name="zone/controller", level=b"\x02", message="late")]),
+        ),
+    ]
+    with BagWriter(tmp_path / "more") as more:
+        for raw in BagReader(bag.folder).messages():
+            more.add_topic(raw.topic, raw.type)
+            more.write(raw.topic, raw.data, raw.log_time)
+        last = raw.log_time
+        for i, (topic, message) in enumerate(said, 1):
+            more.add_topic(topic, type_name(type(message)))
+            more.write(topic, to_cdr(message), last + i * 10**9)
+    reader = BagReader(tmp_path / "more")
+    start = 1e-9 * (last - reader.start)
+    expected = [(1, "zone/controller", "warn", "late"), (2, "zone.plant", "warn", "a sample <twice>"),
+                (6, "zone/controller", "error", "late")]  # fmt: skip
+    found = spoken(reader, 10)
+    assert [(round(t - start), *rest) for t, *rest in found] == expected
+    assert spoken(reader, 1) == found[:1]
+    write_report(tmp_path / "more", tmp_path / "r.html")
+    page = Page((tmp_path / "r.html").read_text())
+    assert "a sample <twice>" in page.text
+    assert "all is well" not in page.text
 
 
 def test_damage_is_said_in_the_report(record, tmp_path):

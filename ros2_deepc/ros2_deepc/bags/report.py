@@ -20,9 +20,11 @@ from .panels import events, page_data
 from .progress import Progress, no_progress
 from .reader import BagReader
 from .run import PROPERTIES, VERDICTS, Run, load_run
+from .spoken import spoken
 from .style import PROPERTY, VERDICT
 from .summary import summarize
 
+SPOKEN = 200  # warnings and errors shown at most
 SETTINGS = "settings.yaml"  # attachment with the parameters of the run, by node
 
 
@@ -86,7 +88,10 @@ def _page(run: Run, reader: BagReader, summary: dict[str, Any], checked: Check) 
 <div><h2>Outputs</h2>{_outputs(run, summary)}</div>
 <div><h2>Verdicts at the end</h2>{_verdicts(run)}</div>
 </div>
-<h2>Events</h2>{_events(run)}
+<div class="columns">
+<div><h2>Events</h2>{_events(run)}</div>
+<div><h2>Warnings and errors of the nodes</h2>{_spoken(reader)}</div>
+</div>
 <div class="columns">
 <div><h2>Settings</h2>{_settings(run, reader)}</div>
 <div><h2>Recording</h2>{_recording(run, reader, checked)}</div>
@@ -179,6 +184,13 @@ def _events(run: Run) -> str:
     return _table(["epoch", "k", "time", "what"], rows, (0, 1, 2), "narrow") + more if rows else "<p>None.</p>"
 
 
+def _spoken(reader: BagReader) -> str:
+    rows = spoken(reader, SPOKEN)
+    table = _table(["time", "node", "level", "what"], [[f"{t:.3f} s", *rest] for t, *rest in rows], (0,), "narrow")
+    more = f"<p>The first {SPOKEN}; all are in the bag.</p>" if len(rows) == SPOKEN else ""
+    return table + more if rows else "<p>None.</p>"
+
+
 def _settings(run: Run, reader: BagReader) -> str:
     text = next((a.data.decode("utf-8", "replace") for a in reader.attachments() if a.name == SETTINGS), "")
     rows: list[list[Any]] = []
@@ -187,7 +199,7 @@ def _settings(run: Run, reader: BagReader) -> str:
             rows += [[node.rsplit("/", 1)[-1], name, value] for name, value in body.get("ros__parameters", {}).items()]
     except (yaml.YAMLError, AttributeError):
         rows = [["", SETTINGS, text]]
-    rows += [["bag", name, value] for name, value in run.metadata.items()]
+    rows += [["bag", name, value] for name, value in run.metadata.items() if name != "parameters"]  # stand above
     limits = zip(run.input_names, run.input_min, run.input_max, strict=True)
     rows += [["plant", f"limits of {name}", f"{low:.6g} .. {high:.6g}"] for name, low, high in limits]
     rows += [["plant", name, value] for name, value in run.prior.items() if value]
