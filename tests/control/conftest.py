@@ -41,6 +41,30 @@ class Truth:
         """Outputs (L, p) from the slow state and inputs (L + s - 1, m)."""
         return (self.O @ z1 + self.T @ np.ravel(inputs)).reshape(self.L, -1)
 
+    def equilibrium(self, z1, committed, last, goal, settings, calm):
+        """The same for terminal "equilibrium": the plan's last sample is the steady state that it tracks."""
+        L, (p, m), tail = self.L, self.form.D.shape, settings.tail
+        known = m * (self.form.s - 1)
+        block = np.kron(np.eye(L - tail + 1)[np.minimum(np.arange(L), L - tail)], np.eye(m))
+        G, g = self.T[:, known:] @ block, self.O @ z1 + self.T[:, :known] @ np.ravel(committed)
+        end = np.kron(np.ones((L, 1)), np.eye(p)) @ G[-p:], np.tile(g[-p:], L)
+        off, away = G - end[0], g - end[1]
+        Q, R, offset, rest = settings.Q, settings.R, settings.offset_weight, settings.terminal_weight
+        pull = offset * Q * np.sum(G[-p:, -m:] ** 2) / m
+        squares = [
+            (off, away, Q),
+            (off[-p * tail :], away[-p * tail :], rest * Q),
+            (G[-p:], g[-p:] - goal, offset * Q),
+            (block - np.kron(np.ones((L, 1)), block[-m:]), np.zeros(m * L), R),
+            (block[-m:], -last, calm * pull),
+        ]
+        H = sum(2 * weight * C.T @ C for C, _, weight in squares)
+        f = sum(2 * weight * C.T @ d for C, d, weight in squares)
+        n = len(f)
+        bounds = np.concatenate([np.full(n, settings.u_min), np.full(n, -settings.u_max)])
+        x = quadprog.solve_qp((H + H.T) / 2, -f, np.hstack([np.eye(n), -np.eye(n)]), bounds)[0]
+        return (block @ x).reshape(L, m)
+
     def mpc(self, z1, committed, goal, Q, R, low, high, zero_tail=0):
         """Planned inputs (L, m) of (6.1) without data: quadprog on the model; zero_tail > 0 imposes (6.1c)."""
         L, (p, m) = self.L, self.form.D.shape

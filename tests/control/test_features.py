@@ -265,7 +265,7 @@ def test_garbage_from_solvers_never_gets_out(how, fallback, plant_form, loop):
     settings = DeepcSettings(**{**BASE, "L": 8}, du_max=0.4, fallback=fallback, u_safe=[0.5, 0.0, 0.0])
     run = loop(plant_form(12), settings, 12).collect()
     good = run.step([0.1, 0.1])
-    assert good.status is Status.SOLVED
+    assert good.status.solved
     healthy = run.controller._planner._main.solver.solvers
     run.controller._planner._main.solver.solvers = (Broken(how), Broken(how))
     results = [run.step([0.1, 0.1]) for _ in range(14)]
@@ -291,7 +291,7 @@ def test_from_outside_the_box_there_is_still_a_plan(solver, plant_form, loop):
     run.apply([4.0, 0.0, 0.0])
     run.sense()
     result = run.step([0.1, 0.1])
-    assert result.status is Status.SOLVED
+    assert result.status.solved
     assert result.u[0] == 1.0 or 0.9 - 1e-3 <= result.u[0] <= 1.0
     assert np.abs(np.diff(result.u_plan, axis=0)).max() < 0.1 + 1e-4
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ros2_deepc.control import DeepcSettings, Status
+from ros2_deepc.control.problem import CALM
 
 EXACT = {"osqp": 1e-4, "daqp": 1e-9}
 BASE = {"N": 6, "L": 14, "q": 6, "Q": 5.0, "R": 1.0, "u_min": -1.0, "u_max": 1.0}
@@ -61,6 +62,44 @@ def test_first_input_with_the_printed_terminal_condition(seed, solver, plant_for
     assert worst < EXACT[solver]
 
 
+@pytest.mark.parametrize("solver", ["osqp", "daqp"])
+@pytest.mark.parametrize("s", [1, 2])
+@pytest.mark.parametrize("seed", range(3))
+def test_first_input_with_an_equilibrium_of_its_own(seed, s, solver, plant_form, truth, loop):
+    """Weights small enough for a solver that takes all of them into one matrix."""
+    form = plant_form(50 + seed, q=5, s=s)
+    how = {**BASE, "N": 8, "q": 5, "s": s, "terminal_weight": 1e3, "offset_weight": 100.0}
+    run = loop(form, DeepcSettings(**how, solver=solver), seed).collect()
+    model, worst, saturated = truth(form, 14), 0.0, 0
+    for k in range(40):
+        goal = [[0.0, 0.0], [3.0, -2.0], [40.0, 0.5]][k % 40 // 14]
+        last = run.committed[-1] if s > 1 else run.u[-1]
+        exact = model.equilibrium(run.stepper.z1, run.committed, last, goal, run.settings, CALM)[0]
+        result = run.step(goal)
+        assert result.status.solved
+        worst = max(worst, np.abs(result.u - exact).max())
+        saturated += np.abs(exact).max() > 0.999
+    assert worst < EXACT[solver]
+    assert saturated > 0
+
+
+@pytest.mark.parametrize("terminal", ["equilibrium", "soft", "hard"])
+@pytest.mark.parametrize("seed", range(3))
+def test_heavy_prices_leave_the_approximate_solver_as_accurate(seed, terminal, plant_form, loop):
+    """Default weights, ten million times apart: the first input of OSQP against that of the exact solver."""
+    runs = {}
+    for solver in EXACT:
+        runs[solver] = loop(plant_form(60 + seed), DeepcSettings(**BASE, terminal=terminal, solver=solver), 1).collect()
+    for k in range(45):
+        goal = [[0.0, 0.0], [3.0, -2.0], [0.8, 0.5]][k // 15]
+        results = {solver: run.controller.step(goal) for solver, run in runs.items()}
+        assert all(result.status.solved for result in results.values())
+        assert np.abs(results["osqp"].u - results["daqp"].u).max() < EXACT["osqp"]
+        for run in runs.values():
+            run.apply(results["daqp"].u)
+            run.sense()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_smallest_violation_is_the_linear_programs(seed, plant_form, truth, loop):
     from scipy.optimize import linprog
@@ -106,5 +145,5 @@ def test_what_cannot_be_held_ends_at_the_nearest_steady_state(seed, plant_form, 
     run = loop(form, DeepcSettings(N=6, L=14, q=3, Q=5.0, u_min=-1.0, u_max=1.0, solver="daqp"), seed).collect()
     for _ in range(150):
         result = run.step(reference)
-    assert np.abs(run.y[-1] - nearest).max() < 0.03
-    assert result.distance == pytest.approx(np.abs(reference - nearest).max(), abs=0.01)
+    assert np.abs(run.y[-1] - nearest).max() < 1e-4
+    assert result.distance == pytest.approx(np.abs(reference - nearest).max(), abs=1e-5)

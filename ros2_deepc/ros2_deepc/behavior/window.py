@@ -3,6 +3,7 @@
 """The newest samples of a running plant, in unbroken records."""
 
 from itertools import pairwise
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -124,7 +125,7 @@ def as_sample(value: ArrayLike, size: int, name: str) -> Array:
     if a.shape != (size,) and not (size == 1 and a.shape == ()):
         raise ValueError(f"{name} must have shape ({size},), got {a.shape}")
     a = a.reshape(size)
-    if not np.isfinite(a).all():
+    if not all(map(isfinite, a.tolist())):
         i = int(np.flatnonzero(~np.isfinite(a))[0])
         raise ValueError(f"{name}[{i}] is {a[i]}: drop the sample and cut the record there")
     return a

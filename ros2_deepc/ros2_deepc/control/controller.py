@@ -191,8 +191,10 @@ class DeepcController:
         w = np.concatenate(parts)
         self.prepare()
         if self._answer is not None:
-            self.commit(self._answer)
-        self._ahead = self._ahead[1:]
+            self._ahead.append(self._answer)
+            self._answer = None
+        if self._ahead:
+            del self._ahead[0]
         self._recent.append(w)
         known = self._ahead[: base.s - 1]
         self._last = known[-1] if len(known) == base.s - 1 > 0 else u
@@ -205,7 +207,7 @@ class DeepcController:
         Raises:
             ValueError: on a wrong shape, NaN or infinity.
         """
-        self._ahead = [*self._ahead, as_sample(u, self._sized.m, "u")]
+        self._ahead.append(as_sample(u, self._sized.m, "u"))
         self._answer = None
 
     def cut(self) -> None:

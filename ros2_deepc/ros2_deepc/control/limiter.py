@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The last check before an input leaves."""
 
+from math import isfinite
+
 import numpy as np
 
 from ros2_deepc.behavior.hankel import Array
@@ -29,7 +31,7 @@ class Limiter:
             u: wanted input, shape (m,); a NaN means "no wish" and holds the last input.
             last: input one sample before, or None if there was none.
         """
-        if not np.isfinite(u).all():
+        if not all(map(isfinite, u.tolist())):
             held = np.minimum(np.maximum(0.0, self.u_min), self.u_max) if last is None else last
             u = np.where(np.isnan(u), held, u)
         if self._slow and last is not None:

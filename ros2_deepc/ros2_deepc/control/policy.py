@@ -193,7 +193,8 @@ class _Stream:
     """The newest window's data matrix, squared or factored, followed sample by sample.
 
     Starts with the Gram matrix, which is fastest; goes over to the orthogonal factor for good once rounding comes near
-    the weakest direction kept, or from the start if the regression needs it.
+    the weakest direction kept, or from the start if the regression needs it. The newest sample waits for the next one,
+    or until the predictor is asked for: no command has to wait for it.
     """
 
     def __init__(self, sized: Sized, scale: tuple[Array, Array]) -> None:
@@ -206,6 +207,7 @@ class _Stream:
         self._columns = sized.T - spent - sized.rows_u + 1
         self._cut = truncation(sized, noise_norm(sized, scale[1], self._columns))
         self._last: Array | None = None
+        self._newest: Array | None = None  # not taken in yet
         self._matrix: SlidingGram | SlidingFactor = self._make(
             SlidingFactor if sized.base.predictor == "causal" else SlidingGram
         )
@@ -231,7 +233,14 @@ class _Stream:
 
     def push(self, w: Array) -> None:
         """Takes a sample [u; d; y]."""
-        w = w / self._scale
+        self._take_in()
+        self._newest = w
+
+    def _take_in(self) -> None:
+        """Brings the matrix up to date with the newest sample."""
+        if self._newest is None:
+            return
+        w, self._newest = self._newest / self._scale, None
         if self._sized.base.form == "incremental":
             w, self._last, before = w, w, self._last
             if before is None:
@@ -242,7 +251,7 @@ class _Stream:
     def cut(self) -> None:
         """The next sample starts a new record."""
         self._matrix.clear()
-        self._last = None
+        self._last = self._newest = None
 
     def predictor(self) -> Predictor | None:
         """The predictor for scaled channels; None while the record does not fill the window.
@@ -250,6 +259,7 @@ class _Stream:
         Raises:
             PoorDataError: if the window determines none.
         """
+        self._take_in()
         if not self._matrix.full:
             return None
         rows = self._layout.timed

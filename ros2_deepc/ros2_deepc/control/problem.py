@@ -13,10 +13,12 @@ import numpy as np
 
 from ros2_deepc.behavior.hankel import Array
 
-from .predictor import Predictor
+from .predictor import EPS, Predictor
 from .settings import Sized, Terminal
 
-TINY = 1e-6  # weight, relative to R, that pins what nothing else determines: steady values of inputs without effect
+TINY = 1e-6  # weight, relative to R, that pins what nothing else determines
+CALM = 1e-5  # share of the pull towards the reference that holds the steady input where it is
+HEAVY = 10.0  # squares that weigh more than this against Q get a variable of their own
 FREE = 1e-12  # price of a doubt that is free
 THIN = 1e-7  # terminal rows weaker than this against the strongest cannot be met by inputs, whatever they are
 
@@ -28,7 +30,7 @@ class Condensed:
     f and the bounds are affine in what a step knows: w = [known inputs; disturbances; past outputs] and the reference
     trajectory, both as vectors.
 
-    The first m unknowns are the first planned input.
+    The first m unknowns are the first planned input, the first `free` ones all planned inputs.
 
     Attributes:
         H: shape (n, n).
@@ -73,6 +75,8 @@ class Template:
         m, p, L = sized.m, sized.p, sized.base.L
         self.sized, self.known, self.terminal = sized, known, terminal
         self._last_input = last_input
+        self.last_input_negative = np.zeros((m, known))
+        self.last_input_negative[:, last_input] = -np.eye(m)
         self.block = move_blocking(sized, terminal)
         self.free = self.block.shape[1]
         self.limited = bool(np.isfinite(sized.y_min).any() or np.isfinite(sized.y_max).any())
@@ -84,10 +88,12 @@ class Template:
         self.upper[: self.free] = np.tile(sized.u_max, self.free // m)
         self.cost = _Cost(n, known, p * L)
         moves, moves_w = self._moves()
+        self.input_size = max(float(np.trace(sized.R)) / m, TINY)
+        self.input_shape = sized.R / self.input_size  # R by its mean, and never singular
+        if np.linalg.eigvalsh(self.input_shape)[0] < TINY:
+            self.input_shape = self.input_shape + TINY * np.eye(m)
         if terminal == "equilibrium":
-            steady = self.inputs[-m:]
-            self.cost.add(self.inputs - np.tile(steady, (L, 1)), None, sized.R)
-            self.cost.add(steady, None, TINY * max(float(np.trace(sized.R)) / m, TINY) * np.eye(m))
+            self.cost.add(self.inputs - np.tile(self.inputs[-m:], (L, 1)), None, sized.R)
         elif sized.base.form == "incremental":
             self.cost.add(moves, moves_w, sized.R)
         else:
@@ -114,7 +120,7 @@ class Template:
         C = self.inputs.copy()
         C[m:] -= self.inputs[:-m]
         D = np.zeros((C.shape[0], self.known))
-        D[:m, self._last_input] = -np.eye(m)
+        D[:m] = self.last_input_negative
         return C, D
 
 
@@ -124,21 +130,26 @@ def condense(template: Template, predictor: Predictor) -> Condensed:
     outputs = np.zeros((predictor.G.shape[0], template.n))
     outputs[:, :free] = predictor.G @ template.block if free < predictor.G.shape[1] else predictor.G
     cost, rows = template.cost.copy(), template.rows.copy()
+    squares: list[_Square] = []
     weight = stage_weight(predictor, sized)
     if template.terminal == "equilibrium":
         _equilibrium_cost(cost, sized, outputs, predictor.F, weight)
+        squares = _equilibrium_squares(cost, template, outputs, predictor)
     else:
         cost.f_goal -= cost.add(outputs, predictor.F, weight).T
     if template.terminal == "soft":
         part = slice(-sized.p * sized.base.tail, None)
-        weighted = cost.add(outputs[part], predictor.F[part], sized.base.terminal_weight * masked(sized))
-        cost.f_goal[:, part] -= weighted.T
+        square = _Square(outputs[part], predictor.F[part], -np.eye(outputs.shape[0])[part], sized.base.terminal_weight)
+        squares = [square.times(_root(masked(sized))).compressed(min(outputs.shape))]
     elif template.terminal == "hard":
         _terminal_rows(rows, sized, outputs, predictor.F)
     if template.limited:
         _output_rows(rows, cost, sized, outputs, predictor.F, free)
+    for square in squares:
+        if square.weight <= HEAVY:
+            square.add_to(cost)
     A, A_w, A_goal, lower, upper = rows.stacked()
-    return Condensed(
+    program = Condensed(
         H=cost.H,
         A=A,
         f0=cost.f0,
@@ -152,6 +163,8 @@ def condense(template: Template, predictor: Predictor) -> Condensed:
         outputs=outputs,
         outputs_w=predictor.F,
     )
+    heavy = [square for square in squares if square.weight > HEAVY]
+    return _lift(program, heavy) if heavy else program
 
 
 def move_blocking(sized: Sized, terminal: Terminal) -> Array:
@@ -242,24 +255,114 @@ class _Rows:
         return np.vstack(C), np.vstack(D), np.vstack(E), np.concatenate(low), np.concatenate(high)
 
 
+@dataclass(frozen=True, slots=True)
+class _Square:
+    """A cost weight |C x + D w + E goal|^2."""
+
+    C: Array
+    D: Array
+    E: Array
+    weight: float
+
+    def times(self, root: Array) -> "_Square":
+        """With each sample's outputs mapped by ``root``, shape (any, p)."""
+        C, D, E = (
+            np.matmul(root, M.reshape(-1, root.shape[1], M.shape[1])).reshape(-1, M.shape[1]) for M in self._maps
+        )
+        return _Square(C, D, E, self.weight)
+
+    def compressed(self, rank: int) -> "_Square":
+        """The same, but for a constant, in at most ``rank`` rows: those that x can move."""
+        U, sv, _ = np.linalg.svd(self.C, full_matrices=False)
+        keep = U[:, : min(rank, int(np.count_nonzero(sv > THIN * sv[:1])))].T
+        return _Square(keep @ self.C, keep @ self.D, keep @ self.E, self.weight)
+
+    def add_to(self, cost: "_Cost") -> None:
+        """Adds it to the other costs."""
+        cost.f_goal += cost.add(self.C, self.D, self.weight * np.eye(len(self.C))).T @ self.E
+
+    @property
+    def _maps(self) -> tuple[Array, Array, Array]:
+        return self.C, self.D, self.E
+
+
+def _lift(program: Condensed, squares: list[_Square]) -> Condensed:
+    """The program with heavy squares added: each row C x + D w + E goal = scale t has an unknown t of ordinary price.
+
+    Added to H, they would leave it so ill-conditioned that an operator-splitting solver stops far from the optimum.
+    """
+    n, count = program.H.shape[0], sum(len(square.C) for square in squares)
+    price = max(float(program.H.diagonal().mean()), TINY)
+    scale = np.concatenate([np.full(len(q.C), np.sqrt(price / (2.0 * q.weight))) for q in squares])
+    C, D, E = (np.vstack(maps) for maps in zip(*((q.C, q.D, q.E) for q in squares), strict=True))
+    H = np.zeros((n + count, n + count))
+    H[:n, :n] = program.H
+    H[n:, n:] = price * np.eye(count)
+    free, zero = np.full(count, np.inf), np.zeros(count)
+
+    def padded(M: Array, axis: int) -> Array:
+        return np.pad(M, [(0, count) if i == axis else (0, 0) for i in range(M.ndim)])
+
+    return Condensed(
+        H=H,
+        A=np.vstack([padded(program.A, 1), np.hstack([C, -np.diag(scale)])]),
+        f0=padded(program.f0, 0),
+        f_w=padded(program.f_w, 0),
+        f_goal=padded(program.f_goal, 0),
+        lower=np.concatenate([program.lower[:n], -free, program.lower[n:], zero]),
+        upper=np.concatenate([program.upper[:n], free, program.upper[n:], zero]),
+        A_w=np.vstack([program.A_w, D]),
+        A_goal=np.vstack([program.A_goal, E]),
+        inputs=padded(program.inputs, 1),
+        outputs=padded(program.outputs, 1),
+        outputs_w=program.outputs_w,
+    )
+
+
+def _root(Q: Array) -> Array:
+    """C with C'C = Q and no more rows than the rank of Q."""
+    values, vectors = np.linalg.eigh(Q)
+    some = values > EPS * max(float(values[-1]), 0.0)
+    return np.asarray((vectors[:, some] * np.sqrt(values[some])).T)
+
+
 def _equilibrium_cost(cost: _Cost, sized: Sized, outputs: Array, F: Array, weight: Array) -> None:
-    """Stage cost against the plan's own end (u_s, y_s), distance of y_s from the reference, and rest over the tail.
+    """Stage cost against the plan's own end (u_s, y_s).
 
     y_s and u_s are the last predicted output and the last planned input, not further unknowns: at rest the two
-    readings coincide, and the program stays a pure box problem of which both solvers make short work. A reference
-    that can be held is held exactly, since every term vanishes there. One that cannot be held ends at the nearest
-    steady state up to offset_weight / terminal_weight of its distance. A previewed reference is followed relative to
-    its end.
+    readings coincide. A previewed reference is followed relative to its end.
     """
-    p, L, tail = sized.p, sized.base.L, sized.base.tail
-    Q = masked(sized)
-    off = outputs - np.tile(outputs[-p:], (L, 1))
-    off_w = F - np.tile(F[-p:], (L, 1))
+    p, L = sized.p, sized.base.L
+    off, off_w = _from_end(outputs, p), _from_end(F, p)
     weighted = cost.add(off, off_w, weight)
     cost.f_goal -= weighted.T
     cost.f_goal[:, -p:] += weighted.T.reshape(-1, L, p).sum(axis=1)
-    cost.f_goal[:, -p:] -= cost.add(outputs[-p:], F[-p:], sized.base.offset_weight * Q).T
-    cost.add(off[-p * tail :], off_w[-p * tail :], sized.base.terminal_weight * Q)
+
+
+def _equilibrium_squares(cost: _Cost, template: Template, outputs: Array, predictor: Predictor) -> list[_Square]:
+    """Rest over the tail, and the distance of y_s from the reference.
+
+    A reference that can be held is held exactly, since every term vanishes there. One that cannot be held ends at the
+    nearest steady state up to offset_weight / terminal_weight of its distance. Of all steady inputs that serve alike
+    the one nearest to the present input is taken, by a small price on the move to it, which vanishes at rest.
+    """
+    sized, F = template.sized, predictor.F
+    base, p, m = sized.base, sized.p, sized.m
+    root = _root(masked(sized))
+    end = _Square(outputs[-p:], F[-p:], -np.eye(p * base.L)[-p:], base.offset_weight).times(root)
+    part = slice(-p * base.tail, -p)
+    off, off_w = _from_end(outputs, p)[part], _from_end(F, p)[part]
+    rest = _Square(off, off_w, np.zeros((len(off), p * base.L)), base.terminal_weight).times(root)
+    conditions = predictor.order + m * (base.s - 1) if base.q else len(off)
+    pull = base.offset_weight * float(np.sum(end.C[:, template.free - m : template.free] ** 2)) / m
+    move = template.inputs[-m:], template.last_input_negative
+    cost.add(*move, max(CALM * pull, TINY * template.input_size) * template.input_shape)
+    return [rest.compressed(conditions), end]
+
+
+def _from_end(M: Array, p: int) -> Array:
+    """Rows of M less the last p rows, sample by sample."""
+    return M - np.tile(M[-p:], (M.shape[0] // p, 1))
 
 
 def _terminal_rows(rows: _Rows, sized: Sized, outputs: Array, F: Array) -> None:

@@ -3,12 +3,11 @@
 """Solvers of dense quadratic programs behind one small interface, with every answer checked."""
 
 import math
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import daqp
 import numpy as np
-import osqp
+import osqp.ext_builtin as osqp  # the solver itself: the wrapper around it costs as much again as a short solve
 from scipy.sparse import csc_matrix
 
 from ros2_deepc.behavior.hankel import Array
@@ -16,17 +15,13 @@ from ros2_deepc.behavior.hankel import Array
 from .problem import Condensed
 
 INFINITE = 1e30
-OSQP_SETTINGS: dict[str, Any] = {
-    "verbose": False,
-    "eps_abs": 1e-6,
-    "eps_rel": 1e-6,
-    "check_termination": 10,
-    "polishing": False,
-}
+ACCURACY = 1e-4  # aimed at in x: residuals tell of errors up to the condition of H times as large
+EPS = (1e-9, 1e-6)  # bounds of the tolerance that follows from it
+STEP = 1 / 3  # of sqrt(least * largest eigenvalue of H): the step size at which box programs take fewest iterations
+SOLVED = osqp.osqp_status_type.OSQP_SOLVED.value
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
+class Answer(NamedTuple):
     """What a solver says.
 
     Attributes:
@@ -71,34 +66,50 @@ class Osqp:
         """See `QpSolver.load`; a change of shape sets up anew."""
         n, rows = H.shape[0], A.shape[0]
         if self._shape == (n, rows):
-            Px = H.ravel()[self._upper]
-            if rows:
-                self._model.update(Px=Px, Ax=_with_identity(A))
-            else:
-                self._model.update(Px=Px)
+            self._model.update_data_mat(
+                P_x=H.ravel()[self._upper], P_i=None, A_x=_with_identity(A) if rows else None, A_i=None
+            )
             return
         row, column = np.tril_indices(n)
         self._upper = column * n + row  # upper triangle of H, column by column
         P = csc_matrix((H.ravel()[self._upper], column, np.append(0, np.cumsum(np.arange(1, n + 1)))), shape=(n, n))
         indices = np.hstack([np.arange(n)[:, None], np.tile(n + np.arange(rows), (n, 1))]).ravel()
         AI = csc_matrix((_with_identity(A), indices, (rows + 1) * np.arange(n + 1)), shape=(n + rows, n))
-        self._model = osqp.OSQP()
-        self._model.setup(P, np.zeros(n), AI, lower, upper, **OSQP_SETTINGS)
+        bounds = (np.maximum(lower, -INFINITE), np.minimum(upper, INFINITE))
+        self._model = osqp.OSQPSolver(
+            osqp.CSC(P), np.zeros(n), osqp.CSC(AI), *bounds, n + rows, n, _osqp_settings(H, boxed=not rows)
+        )
         self._shape, self._bounds = (n, rows), None
 
     def solve(self, f: Array, lower: Array, upper: Array) -> Answer:
         """See `QpSolver.solve`."""
+        model = self._model
         if self._bounds is not None and self._bounds[0] is lower and self._bounds[1] is upper:
-            self._model.update(q=f)
+            model.update_data_vec(q=f, l=None, u=None)
         else:
-            self._model.update(q=f, l=lower, u=upper)
+            model.update_data_vec(q=f, l=np.maximum(lower, -INFINITE), u=np.minimum(upper, INFINITE))
             self._bounds = (lower, upper)
-        answer = self._model.solve(raise_error=False)
-        info = answer.info
-        solved = info.status_val == osqp.SolverStatus.OSQP_SOLVED
+        model.solve()
+        info, solution = model.info, model.solution
+        solved = info.status_val == SOLVED
         if not solved:
-            self._model.warm_start(x=np.zeros(f.size), y=np.zeros(lower.size))  # a bad end is a bad start
-        return Answer(answer.x, answer.y, solved, info.iter, info.status)
+            model.warm_start(x=np.zeros(f.size), y=np.zeros(lower.size))  # a bad end is a bad start
+        return Answer(solution.x, solution.y, solved, info.iter, "" if solved else info.status)
+
+
+def _osqp_settings(H: Array, *, boxed: bool) -> Any:
+    """Settings for a program; of a box alone, OSQP needs no scaling but the step size that its H asks for."""
+    settings = osqp.OSQPSettings()
+    osqp.osqp_set_default_settings(settings)
+    settings.verbose, settings.polishing, settings.check_termination = False, False, 10
+    settings.max_iter = 2000
+    eigenvalues = np.linalg.eigvalsh(H)
+    largest = max(eigenvalues[-1], EPS[0])
+    least = max(eigenvalues[0], EPS[0] * largest)
+    settings.eps_abs = settings.eps_rel = min(max(ACCURACY * least / largest, EPS[0]), EPS[1])
+    if boxed:
+        settings.scaling, settings.rho = 0, STEP * math.sqrt(least * largest)
+    return settings
 
 
 class Daqp:
@@ -109,21 +120,29 @@ class Daqp:
     def __init__(self) -> None:
         self._model: Any = None
         self._problem = (np.empty((0, 0)), np.empty((0, 0)))
+        self._sense = np.empty(0, dtype=np.int32)
         self._seen: tuple[Array, Array] | None = None  # bounds last seen, and what DAQP was given for them
         self._bounds = (np.empty(0), np.empty(0))
 
     def load(self, H: Array, A: Array, lower: Array, upper: Array) -> None:
-        """See `QpSolver.load`."""
-        self._problem = (H, A)
-        self._set_up(lower, upper)
+        """See `QpSolver.load`; a change of shape or of the equality rows sets up anew."""
+        before, self._problem = self._problem, (H, A)
+        self._same(lower, upper)
+        fits = self._model is not None and before[0].shape == H.shape and before[1].shape == A.shape
+        if fits and np.array_equal(self._sense, self._equalities()):
+            low, high = self._bounds
+            if self._model.update(H=H, A=A if A.shape[0] else None, bupper=high, blower=low) == 0:
+                return
+        self._set_up()
 
     def solve(self, f: Array, lower: Array, upper: Array) -> Answer:
         """See `QpSolver.solve`."""
+        same = self._same(lower, upper)
         if self._model is None:
-            self._set_up(lower, upper)
+            self._set_up()
         if self._model is None:
             return Answer(np.full(f.size, np.nan), np.zeros(lower.size), False, 0, "setup failed")
-        if self._same(lower, upper):
+        if same:
             self._model.update(f=f)
         else:
             self._model.update(f=f, bupper=self._bounds[1], blower=self._bounds[0])
@@ -140,14 +159,17 @@ class Daqp:
         self._bounds = (np.maximum(lower, -INFINITE), np.minimum(upper, INFINITE))
         return False
 
-    def _set_up(self, lower: Array, upper: Array) -> None:
-        """A fresh model: the factorisation happens here."""
+    def _equalities(self) -> Any:
+        """DAQP's mark for equality rows: active for good."""
+        return np.where(self._bounds[0] == self._bounds[1], 5, 0).astype(np.int32)
+
+    def _set_up(self) -> None:
+        """A fresh model."""
         H, A = self._problem
-        self._same(lower, upper)
         low, high = self._bounds
-        sense = np.where(low == high, 5, 0).astype(np.int32)
+        self._sense = self._equalities()
         self._model = daqp.Model()
-        flag, _ = self._model.setup(H, np.zeros(H.shape[0]), A, high, low, sense)
+        flag, _ = self._model.setup(H, np.zeros(H.shape[0]), A, high, low, self._sense)
         if flag < 0:
             self._model = None
 
@@ -195,8 +217,13 @@ def _box_fault(x: Array, H: Array, f: Array, lower: Array, upper: Array, toleran
 
     This covers bounds, stationarity and the signs of multipliers at once, and any NaN.
     """
-    step = x - (H @ x + f) / H.diagonal().max()
-    step = x - np.minimum(np.maximum(step, lower), upper)
+    step = H @ x
+    step += f
+    step *= -1.0 / H.diagonal().max()
+    step += x
+    np.maximum(step, lower, out=step)
+    np.minimum(step, upper, out=step)
+    step -= x
     size = float(step @ step)
     if size <= tolerance**2 * (1.0 + float(x @ x)):
         return ""

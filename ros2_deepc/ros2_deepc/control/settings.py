@@ -106,7 +106,7 @@ class DeepcSettings:
     y_max: Numbers = np.inf
     terminal: Terminal = "equilibrium"
     terminal_steps: int = 0
-    terminal_weight: float = 1e5
+    terminal_weight: float = 1e7
     offset_weight: float = 1000.0
     mask: Numbers = 1.0
     slack_weight: float = 1000.0

@@ -20,6 +20,7 @@ from .settings import DeepcSettings, Form, Sized, size
 from .transform import Units, accumulate, unscale
 
 SIMPLER = 1.02  # a simpler choice is taken if its error is at most this much larger
+EXACT = 1e-9  # errors below it, in standard deviations, are rounding: all as good
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,7 +129,7 @@ def tune(
     trials.sort(key=lambda trial: (trial.error, trial.effort))
     if not np.isfinite(trials[0].error):
         raise ValueError(f"the record of {len(record.u)} samples serves no combination: {trials[0].remark}")
-    good = [trial for trial in trials if trial.error <= SIMPLER * trials[0].error]
+    good = [trial for trial in trials if trial.error <= max(SIMPLER * trials[0].error, EXACT)]
     best = min(good, key=lambda trial: trial.effort)
     lasting = [horizon for horizon in L if best.by_step[horizon - 1] <= tolerance]
     horizon = max(lasting) if lasting else min(L)
