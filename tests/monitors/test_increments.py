@@ -10,6 +10,7 @@ from plant_sim import random_system, wscc9
 from plant_sim.random_systems import random_planted
 from ros2_deepc.behavior import hankel
 from ros2_deepc.monitors import Noise, Prior, Verdict, analyze_records, increments
+from ros2_deepc.monitors.live import LiveMonitor
 
 
 def record(planted, samples, rng, offset, std=0.0):
@@ -81,7 +82,35 @@ def test_what_cannot_be_differenced_says_so():
     u, y = np.ones((5, 1)), np.ones((5, 1))
     with pytest.raises(ValueError, match="give its level"):
         increments([(u, y)], Noise(estimated=True))
-    with pytest.raises(ValueError, match="at least two outputs"):
-        increments([(u[:1], y[:1])], Noise())
     with pytest.raises(ValueError, match="noise is given for 3 outputs, the record has 1"):
         increments([(u, y)], Noise(std=[1.0, 1.0, 1.0]))
+    with pytest.raises(ValueError, match="give its level"):
+        LiveMonitor(Prior(q=1, s=1), form="incremental", window=10, period=5, noise=None)
+
+
+@pytest.mark.parametrize("s", [1, 2])
+def test_the_stream_says_what_the_batch_says(s):
+    rng = np.random.Generator(np.random.PCG64(s))
+    planted = random_system(m=2, p=2, q=3, blocks=(s,), seed=rng)
+    u, y = record(planted, 121, rng, offset=50.0, std=1e-4)
+    prior = Prior(q=3, s=s)
+    live = LiveMonitor(prior, form="incremental", window=200, period=60, noise=1e-4)
+    jobs, margins = [], []
+    for k, v in enumerate(u):
+        jobs += live.input(k, v)
+        if k >= s - 1:
+            if k - s + 1 == 70:  # these outputs are lost: no change is taken across the gap
+                continue
+            jobs += live.output(k - s + 1, y[k - s + 1])
+        if jobs:
+            live.analyse(jobs[-1])
+            margins.append(live.indicator())
+    assert [job.k for job in jobs] == [59, 119]
+    report = live.analyse(jobs[-1]).report
+    assert len(jobs[-1].records) == 2
+    changes, level = increments(jobs[-1].records, Noise(std=1e-4))
+    batch = analyze_records(changes, prior=prior, noise=level)
+    assert report.r_controllability == batch.r_controllability
+    assert report.r_controllability.verdict is Verdict.PROVED
+    assert report.rank == report.rank_need  # a change across the gap would raise it
+    assert margins[-1].rank == margins[-1].rank_need

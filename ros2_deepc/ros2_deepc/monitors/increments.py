@@ -16,7 +16,9 @@ from .compress import Array
 from .noise import Noise
 
 Form = Literal["absolute", "incremental"]
-_ROUNDING = 8 * np.finfo(np.float64).eps  # of a difference, relative to the larger value: both are rounded
+_ROUNDING = (
+    8 * np.finfo(np.float64).eps
+)  # of a difference over the larger value, taken to be none: both values are rounded
 
 
 def increments(records: Sequence[tuple[ArrayLike, ArrayLike]], noise: Noise) -> tuple[list[tuple[Array, Array]], Noise]:
@@ -28,27 +30,43 @@ def increments(records: Sequence[tuple[ArrayLike, ArrayLike]], noise: Noise) -> 
     the prior q, which counts it, keeps the tests from proving anything.
 
     Noise v(k+1) - v(k) is no longer white, but its Hankel matrix is a difference of two of white noise: at most twice
-    their bound. What is noise-free still has the rounding of the values that were subtracted. An output that changes
-    by no more than that is taken to be constant.
+    their bound. What is noise-free still has the rounding of the values that were subtracted; changes within it are
+    taken to be none.
 
     Args:
-        records: pairs (u, y), shapes (K+s-1 or more, m) and (K, p); those with fewer than two outputs are left out.
+        records: pairs (u, y), shapes (K+s-1 or more, m) and (K, p).
         noise: on y.
 
     Returns:
         The records, one sample shorter each, and the noise on them.
 
     Raises:
-        ValueError: wrong shapes, noise for another number of outputs, noise to be estimated, or no two outputs.
+        ValueError: wrong shapes, noise for another number of outputs, or noise to be estimated.
     """
+    pairs = [(as_signal(u, "u"), as_signal(y, "y")) for u, y in records]
+    peak = np.max([np.abs(y).max(axis=0, initial=0.0) for _, y in pairs], axis=0)
+    return [(np.diff(u, axis=0), change(y[:-1], y[1:])) for u, y in pairs], noise_of_changes(noise, peak)
+
+
+def change(before: Array, after: Array) -> Array:
+    """The increments of outputs, 0 where they are no more than rounding; both shape (..., p)."""
+    difference = after - before
+    return np.where(np.abs(difference) > _ROUNDING * np.maximum(np.abs(after), np.abs(before)), difference, 0.0)
+
+
+def noise_of_changes(noise: Noise, peak: Array) -> Noise:
+    """The noise on increments of outputs that are no larger than ``peak``, shape (p,).
+
+    Raises:
+        ValueError: if it is given for another number of outputs, or to be estimated.
+    """
+    require_level(noise)
+    level = 2.0 * noise.per_output(np.ones(len(peak))) + _ROUNDING * peak
+    white = noise.bound is None and noise.source == "given"
+    return Noise(std=level) if white else Noise(bound=level)
+
+
+def require_level(noise: Noise) -> None:
+    """Raises ValueError if the noise is to be estimated."""
     if noise.estimated:
         raise ValueError("noise on increments is not white and cannot be estimated from them: give its level")
-    pairs = [(as_signal(u, "u"), as_signal(y, "y")) for u, y in records if len(np.asarray(y)) > 1]
-    if not pairs:
-        raise ValueError("increments need a record with at least two outputs")
-    rounding = _ROUNDING * np.max([np.abs(y).max(axis=0) for _, y in pairs], axis=0)
-    changes = [(np.diff(u, axis=0), np.diff(y, axis=0)) for u, y in pairs]
-    moves = np.max([np.abs(dy).max(axis=0) for _, dy in changes], axis=0) > rounding
-    level = 2.0 * noise.per_output(np.ones(len(rounding))) + rounding
-    white = noise.bound is None and noise.source == "given"
-    return [(du, dy * moves) for du, dy in changes], Noise(std=level) if white else Noise(bound=level)

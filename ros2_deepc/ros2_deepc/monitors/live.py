@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .analysis import analyze_records
+from .increments import Form, increments, require_level
 from .indicator import Indicator
 from .noise import Noise, as_noise
 from .stream import Stream
@@ -86,11 +87,16 @@ class LiveMonitor:
 
     Args:
         prior: what is known of the plant.
+        form: whether the values themselves are analysed, or their changes; see `increments`.
         settings: window, period, noise, L, enter; see `LiveSettings`.
+
+    Raises:
+        ValueError: if the noise on changes is to be estimated.
     """
 
-    def __init__(self, prior: Prior, **settings: Any) -> None:
-        self.prior, self.settings = prior, LiveSettings(**settings)
+    def __init__(self, prior: Prior, *, form: Form = "absolute", **settings: Any) -> None:
+        self.prior, self.form = prior, form
+        self.settings = self._checked(LiveSettings(**settings))
         self._changes: deque[tuple[int, LiveSettings]] = deque()
         self._commands: dict[int, Array] = {}
         self._inputs: dict[int, Array] = {}  # those that did act, by the plant's own word: a late command acts later
@@ -120,14 +126,21 @@ class LiveMonitor:
         return self._drain()
 
     def change(self, k: int, **settings: Any) -> None:
-        """Takes other settings, in force from outputs k on; the window goes on, as far as its new length allows."""
+        """Takes other settings, in force from outputs k on; the window goes on, as far as its new length allows.
+
+        Raises:
+            ValueError: if the noise on changes is to be estimated.
+        """
         latest = self._changes[-1][1] if self._changes else self.settings
-        self._changes.append((k, replace(latest, **settings)))
+        self._changes.append((k, self._checked(replace(latest, **settings))))
 
     def analyse(self, job: Job) -> LiveReport:
         """Does an analysis; may run in another thread than the rest."""
         started = time.thread_time()
-        report = analyze_records(job.records, prior=self.prior, L=job.settings.L, noise=job.settings.noise)
+        records, noise = job.records, as_noise(job.settings.noise)
+        if self.form == "incremental":
+            records, noise = increments(records, noise)
+        report = analyze_records(records, prior=self.prior, L=job.settings.L, noise=noise)
         samples = sum(len(y) for _, y in job.records)
         settled = self._settle(job.k, report, job.settings.enter)
         return LiveReport(job.k, settled, samples, time.thread_time() - started)
@@ -144,7 +157,7 @@ class LiveMonitor:
         L = min(self._last_L, max(self.prior.q, -(-self.prior.q // p), CHEAP // (m + p)))
         window = self.settings.window
         if self._stream is None or (self._stream.L, self._stream.window) != (L, window):
-            self._stream = Stream(m, p, self.prior, L, window)
+            self._stream = Stream(m, p, self.prior, L, window, self.form)
             self._stream.refill(self.records())
         return self._stream.indicate(as_noise(self.settings.noise))
 
@@ -161,6 +174,11 @@ class LiveMonitor:
              np.array([y for _, y in piece]))
             for piece in pieces
         ]  # fmt: skip
+
+    def _checked(self, settings: LiveSettings) -> LiveSettings:
+        if self.form == "incremental":
+            require_level(as_noise(settings.noise))
+        return settings
 
     def _drain(self) -> list[Job]:
         due = []

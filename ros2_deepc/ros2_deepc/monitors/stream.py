@@ -11,6 +11,7 @@ import numpy as np
 from ros2_deepc.behavior import SlidingFactor
 
 from .compress import Array, Compression, split
+from .increments import Form, change, noise_of_changes
 from .indicator import Indicator, margins, too_short
 from .noise import Noise
 from .verdict import Prior
@@ -28,22 +29,32 @@ class Stream:
         prior: q and s are used.
         L: output block rows of the pencil.
         window: outputs kept.
+        form: whether the values themselves are followed, or their changes.
     """
 
-    def __init__(self, m: int, p: int, prior: Prior, L: int, window: int) -> None:
+    def __init__(self, m: int, p: int, prior: Prior, L: int, window: int, form: Form = "absolute") -> None:
         self.m, self.p, self.prior, self.L, self.window = m, p, prior, L, window
         d, s = L + prior.s, prior.s
         places = np.arange((m + p) * d).reshape(d, m + p)  # block i holds u(j + i) over y(j + i - s + 1)
         order = np.concatenate([places[:, :m].ravel(), places[s - 1 :, m:].ravel()])
         self._factor = SlidingFactor(m + p, d, max(1, window - d + 1), order=order)
+        self._changes = form == "incremental"
+        self._last: tuple[Array, Array] | None = None  # of this record
+        self._peak = np.zeros(p)
         self._channel = np.concatenate([np.tile(np.arange(m), d), np.tile(np.arange(m, m + p), L + 1)])
 
     def push(self, u: Array, y: Array) -> None:
         """Takes outputs k, shape (p,), and the newest inputs that they depend on, u(k+s-1), shape (m,)."""
-        self._factor.push(np.concatenate([u, y]))
+        if not self._changes:
+            self._factor.push(np.concatenate([u, y]))
+            return
+        if self._last is not None:
+            self._factor.push(np.concatenate([u - self._last[0], change(self._last[1], y)]))
+        self._last, self._peak = (u, y), np.maximum(self._peak, np.abs(y))
 
     def cut(self) -> None:
         """The next sample starts a record."""
+        self._last = None
         self._factor.cut()
 
     def refill(self, records: Iterable[tuple[Array, Array]]) -> None:
@@ -59,6 +70,8 @@ class Stream:
         missing = need + 1 - self._factor.held
         if missing > 0:
             return too_short(missing, need, self.L)
+        if self._changes:
+            noise = noise_of_changes(noise, self._peak)
         data, y_scale = self.compression()
         return margins(data, y_scale, self.prior.q, noise)
 

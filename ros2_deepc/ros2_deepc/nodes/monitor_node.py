@@ -34,6 +34,12 @@ PARAMETERS_CHANGED = "parameters"
 PARAMETERS = (
     Param("window", 300, "outputs in the window of the tests", "samples", low=1, high=1_000_000, live=True),
     Param("period", 10, "outputs between two reports", "samples", low=1, high=1_000_000, live=True),
+    Param(
+        "form",
+        "absolute",
+        "what is analysed: values, or their changes (plants around an operating point that nobody knows)",
+        choices=("absolute", "incremental"),
+    ),
     Param("L", 0, "block rows of the tests; 0 = chosen by the analysis", low=0, high=1000, live=True),
     Param(
         "noise",
@@ -62,7 +68,7 @@ def make_live(parameters: Mapping[str, Any], info: PlantInfo) -> LiveMonitor:
     p = len(info.output_names)
     D = np.reshape(info.d, (p, len(info.input_names))) if info.d_known else None
     prior = Prior(q=given["q"] or int(info.q), s=given["s"] or max(int(info.s), 1), n=int(info.n), D=D)
-    return LiveMonitor(prior, **_settings(given, p))
+    return LiveMonitor(prior, form=given["form"], **_settings(given, p))
 
 
 def change_live(live: LiveMonitor, k: int, parameters: Mapping[str, Any], info: PlantInfo) -> None:
