@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ros2_deepc.control.agent import Agent, Decision
 from ros2_deepc.control.joined import Joined
+from ros2_deepc.control.modes import Mode
 from ros2_deepc.monitors.live import Job, LiveMonitor, LiveReport
 
 from .replay import Answer
@@ -41,13 +42,20 @@ class ControllerCore:
     def reference(self, k: int, values: Array) -> list[Answer]:
         """Takes a reference; the first one that holds at 0 starts the run."""
         self._agent.references.set(k, values)
-        if self._started or self._agent.references.at(0) is None:
+        if self._started or self.listens or self._agent.references.at(0) is None:
             return []
         self._started = True
         return [_inputs(i, u) for i, u in enumerate(self._agent.start())]
 
-    def inputs(self, k: int, values: Array) -> list[Answer]:  # noqa: ARG002 - the controller knows its own inputs
-        """Nothing: the inputs are what is to be found."""
+    @property
+    def listens(self) -> bool:
+        """In SHADOW the inputs are those of whoever is in control."""
+        return self._agent.mode is Mode.SHADOW
+
+    def inputs(self, k: int, values: Array) -> list[Answer]:
+        """Takes the inputs of somebody else; its own are what is to be found."""
+        if self.listens:
+            self._agent.overhear(k, values)
         return []
 
     def outputs(self, k: int, values: Array, held: int) -> list[Answer]:
@@ -69,7 +77,7 @@ class ControllerCore:
         return [answer for k, (values, held) in ready for answer in self._answer(k, values, held)]
 
     def _answer(self, k: int, values: Array, held: int) -> list[Answer]:
-        if not self._started:
+        if not (self._started or self.listens):
             return []
         decision = self._agent.step(k, values, held)
         state = self._message(self._agent, decision)
@@ -94,6 +102,11 @@ class MonitorCore:
         change: Callable[[LiveMonitor, int, str, str], None] | None = None,
     ) -> None:
         self._live, self._message, self._change = live, message, change
+
+    @property
+    def listens(self) -> bool:
+        """The monitor commands nothing, and compares none of the inputs."""
+        return False
 
     def reference(self, k: int, values: Array) -> list[Answer]:  # noqa: ARG002
         """Nothing: the monitors do not know references."""

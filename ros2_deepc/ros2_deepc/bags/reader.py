@@ -75,7 +75,7 @@ class BagReader:
         Raises:
             BagError: if a file that has its index is damaged inside.
         """
-        for names, batch in self._batches(topics):
+        for names, batch in self.batches(topics):
             if start is not None or end is not None:
                 first, last = np.uint64(max(start or 0, 0)), np.uint64(2**64 - 1 if end is None else max(end, 0))
                 batch = batch.rows((batch.log_time >= first) & (batch.log_time < last))
@@ -97,7 +97,7 @@ class BagReader:
         Raises:
             BagError: for a message that cannot be decoded.
         """
-        for names, batch in self._batches(topics):
+        for names, batch in self.batches(topics):
             for channel in np.unique(batch.channel).tolist():
                 info = names[channel]
                 block = Block(batch.rows(batch.channel == channel), info.outliner())
@@ -105,8 +105,8 @@ class BagReader:
                     raise BagError(f"topic {info.name}: {block.bad[0][1]}")
                 yield info.name, block
 
-    def _batches(self, topics: Iterable[str] | None) -> Iterator[tuple[Mapping[int, TopicInfo], Messages]]:
-        """Messages with their topics by channel, chunk by chunk, in order; bounded memory."""
+    def batches(self, topics: Iterable[str] | None = None) -> Iterator[tuple[Mapping[int, TopicInfo], Messages]]:
+        """Yields topics by channel and messages, chunk by chunk, in the order of ``messages``; bounded memory."""
         wanted = None if topics is None else set(topics)
         for file in self.files:
             source = _from_index(file, wanted) if self._indexed[file] else _from_front(file)

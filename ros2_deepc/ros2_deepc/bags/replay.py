@@ -4,9 +4,9 @@
 
 import hashlib
 import os
-from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 
 from .compare import Difference, first_difference
 from .errors import BagError
+from .messages import Messages
+from .outline import Block
 from .reader import BagReader
 from .run import find_namespace
+from .topic import TopicInfo
 
 Array = NDArray[np.float64]
 # what depends on the clock or on what never reached the topics
@@ -32,6 +35,10 @@ Answer = tuple[str, int, Any]  # topic, k, an object with the message's fields
 
 class Core(Protocol):
     """One part of the loop: takes the samples of one epoch and gives back what it would publish."""
+
+    @property
+    def listens(self) -> bool:
+        """Whether the inputs are somebody else's, so that they are no answers of this part."""
 
     def reference(self, k: int, values: Array) -> list[Answer]:
         """Takes a reference that holds from k on."""
@@ -101,7 +108,7 @@ def replay(
     changes = {name: _changes(reader, f"{prefix}/{CHANGES[name]}") for name in cores}
     feeder: _Feeder | None = None
     total = reader.message_count
-    for done, (topic, message) in enumerate(_stream(reader, prefix)):
+    for done, (topic, message) in enumerate(_stream(reader, prefix, matcher.topics)):
         if topic == "plant_info":
             if feeder is not None:
                 feeder.finish()
@@ -118,12 +125,44 @@ def replay(
     return matcher.result()
 
 
-_TOPICS = ("plant_info", "outputs", "inputs", "reference", "disturbances", "controller/state", "monitor/report")
+_SAMPLES = ("outputs", "inputs", "reference", "disturbances")
 
 
-def _stream(reader: BagReader, prefix: str) -> Iterator[tuple[str, Any]]:
-    for raw, message in reader.decoded([f"{prefix}/{name}" for name in _TOPICS]):
-        yield raw.topic[len(prefix) + 1 :], message
+@dataclass(slots=True)
+class _Taken:
+    """What a replay needs of a Sample: its fields, and whether all its values are finite and good."""
+
+    epoch: int
+    k: int
+    held: int
+    values: Array
+    usable: bool
+
+
+def _stream(reader: BagReader, prefix: str, answers: Collection[str]) -> Iterator[tuple[str, Any]]:
+    """Relative topic and decoded message of all that cores take or that is compared, in order."""
+    for topics, batch in reader.batches(f"{prefix}/{name}" for name in ("plant_info", *_SAMPLES, *answers)):
+        messages: list[tuple[str, Any]] = [("", None)] * len(batch)
+        for channel in np.unique(batch.channel).tolist():
+            info, rows = topics[channel], np.flatnonzero(batch.channel == channel)
+            name, mine = info.name[len(prefix) + 1 :], batch.rows(rows)
+            decoded = _samples(mine, info) if name in _SAMPLES else map(info.decoder(), (data for *_, data in mine))
+            for row, message in zip(rows.tolist(), decoded, strict=True):
+                messages[row] = (name, message)
+        yield from messages
+
+
+def _samples(messages: Messages, info: TopicInfo) -> Iterator[_Taken]:
+    block = Block(messages, info.outliner())
+    if block.bad:
+        raise BagError(f"topic {info.name}: {block.bad[0][1]}")
+    values, widths = block.vectors("values")
+    quality, _ = block.vectors("quality")
+    unknown = ~np.isfinite(values) & (np.arange(values.shape[1]) < widths[:, None])
+    usable = np.asarray(~unknown.any(axis=1) & ~np.nan_to_num(quality).any(axis=1))
+    columns = (block.column(name, kind, 0).tolist() for name, kind in (("epoch", int), ("k", np.uint64), ("held", int)))
+    for epoch, k, held, width, row, good in zip(*columns, widths.tolist(), values, usable.tolist(), strict=True):
+        yield _Taken(epoch, k, held, row[:width], good)
 
 
 def _changes(reader: BagReader, topic: str) -> dict[int, list[Any]]:
@@ -144,8 +183,9 @@ class _Feeder:
 
     def __init__(self, info: Any, cores: list[tuple[Core, list[Any]]], matcher: "_Matcher") -> None:
         self._epoch, self._cores, self._matcher = info.epoch, cores, matcher
-        self._sizes = {"inputs": len(info.input_names), "outputs": len(info.output_names)}
-        self._k = -1
+        m, p = len(info.input_names), len(info.output_names)
+        self._sizes = {"inputs": m, "outputs": p, "reference": p}
+        self._k, self._s = -1, max(int(info.s), 1)
         self._kept: list[tuple[str, Any]] | None = []
 
     def take(self, topic: str, message: Any) -> None:
@@ -188,19 +228,19 @@ class _Feeder:
             return  # decided by the clock, stands among the changes
         if topic == "outputs":
             self._k = max(self._k, message.k)
-            self._matcher.output(message)
-        else:
+            self._matcher.output(message, self._s)
+        elif not (topic == "inputs" and any(core.listens for core, _ in self._cores)):
             self._matcher.recorded(topic, self._epoch, message)
 
     def _ask(self, core: Core, topic: str, message: Any) -> list[Answer]:
+        if topic not in _SAMPLES or not message.usable:
+            return []
+        if topic == "disturbances":
+            return core.disturbances(message.k, message.values)
+        if len(message.values) != self._sizes[topic]:
+            return []
         if topic == "reference":
             return core.reference(message.k, message.values)
-        if topic == "disturbances":
-            return core.disturbances(message.k, message.values) if np.isfinite(message.values).all() else []
-        if topic not in self._sizes or len(message.values) != self._sizes[topic]:
-            return []
-        if not np.isfinite(message.values).all() or message.quality.any():
-            return []
         if topic == "inputs":
             return core.inputs(message.k, message.values)
         return core.outputs(message.k, message.values, message.held) if message.k > self._k else []
@@ -212,27 +252,34 @@ class _Matcher:
     def __init__(self, topics: Collection[str]) -> None:
         self._result = Replay()
         self._waiting: dict[str, dict[tuple[int, int], tuple[bool, Any]]] = {topic: {} for topic in topics}
+        self.topics = topics
         self._last: dict[str, int] = dict.fromkeys(topics, -1)
         self._differs: set[str] = set()
         self._hash = hashlib.sha256()
-        self._inputs: deque[tuple[int, int, bytes]] = deque(maxlen=WAITING)
+        self._inputs: dict[tuple[int, int], bytes] = {}
+        self._held: dict[tuple[int, int], int] = {}
 
     def recorded(self, topic: str, epoch: int, message: Any) -> None:
         """One recorded answer; of those to the same sample the first one counts."""
         if topic in self._waiting:
             self._last[topic] = message.k
-            self._pair(topic, (epoch, message.k), True, message)
+            answer = SimpleNamespace(values=message.values) if topic == "inputs" else message
+            self._pair(topic, (epoch, message.k), True, answer)
 
     def computed(self, epoch: int, topic: str, k: int, answer: Any) -> None:
         """One computed answer."""
         if topic == "inputs":
-            self._inputs.append((epoch, k, np.asarray(answer.values, dtype="<f8").tobytes()))
+            self._inputs[epoch, k] = np.asarray(answer.values, dtype="<f8").tobytes()
+            _forget(self._inputs)
         self._pair(topic, (epoch, k), False, answer)
 
-    def output(self, message: Any) -> None:
-        """Recorded outputs, for the hash."""
-        wanted = (message.epoch, message.k - message.held)
-        u = next((data for epoch, k, data in reversed(self._inputs) if (epoch, k) == wanted), None)
+    def output(self, message: Any, s: int) -> None:
+        """Recorded outputs of a plant of index s, for the hash: outputs k-s+1 tell how old the input of k was."""
+        epoch, k = message.epoch, message.k
+        self._held[epoch, k] = message.held
+        _forget(self._held)
+        held = 0 if k < s - 1 else self._held.get((epoch, k - s + 1))
+        u = None if held is None else self._inputs.get((epoch, k - held))
         if u is not None:
             self._hash.update(u + np.asarray(message.values, dtype="<f8").tobytes())
 
@@ -265,11 +312,17 @@ class _Matcher:
         self._result.compared[topic] = self._result.compared.get(topic, 0) + 1
         if topic in self._differs:
             return
-        skip = {"inputs": frozenset({"header", "epoch", "quality", "held", "sender"}), "monitor/report": REPORT_SKIP}
-        found = first_difference(recorded, computed, skip.get(topic, STATE_SKIP))
+        skip = REPORT_SKIP if topic == "monitor/report" else STATE_SKIP
+        found = first_difference(recorded, computed, skip)
         if found:
             self._differs.add(topic)
             path, was, now = found
             self._result.differences.append(
                 Difference(topic=topic, epoch=key[0], k=key[1], field=path, recorded=was, computed=now)
             )
+
+
+def _forget(known: dict[tuple[int, int], Any]) -> None:
+    """Drops the oldest entry where there are more than will be asked for."""
+    if len(known) > WAITING:
+        del known[next(iter(known))]
