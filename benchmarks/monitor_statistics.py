@@ -10,6 +10,7 @@ Exits with 1 if a claim is broken; each broken claim is printed.
 """
 
 import argparse
+import itertools
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -18,7 +19,10 @@ from typing import NamedTuple
 import numpy as np
 
 from plant_sim import Planted, random_system
+from ros2_deepc.behavior import hankel
 from ros2_deepc.monitors import Prior, Verdict, analyze, estimate_structure
+from ros2_deepc.monitors.compress import compress
+from ros2_deepc.monitors.noise import gaussian_norm
 
 PROVED = Verdict.PROVED
 
@@ -171,7 +175,23 @@ def near(n: int) -> Table:
     return Table(lines, broken)
 
 
-CELLS = ((1, 1, 2, 1, 200), (3, 2, 4, 1, 100), (3, 2, 6, 1, 200), (2, 2, 4, 2, 200), (3, 2, 4, 1, 1000))
+CELLS = (
+    (1, 1, 2, 1, 200),
+    (3, 2, 4, 1, 100),
+    (3, 2, 6, 1, 200),
+    (2, 2, 4, 2, 200),
+    (3, 2, 4, 1, 1000),
+    (10, 10, 20, 1, 1000),
+)
+LARGE = 10
+"""Slow dimension from which a tenth of the plants must do."""
+
+
+def interval(hits: int, n: int) -> str:
+    """95 % confidence interval of a share (Wilson) in percent."""
+    z, share = 1.96, hits / n
+    middle, half = share + z * z / (2 * n), z * np.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+    return f"{100 * (middle - half) / (1 + z * z / n):.0f}-{100 * (middle + half) / (1 + z * z / n):.0f}"
 
 
 def with_noise(y: np.ndarray, decibel: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -179,10 +199,46 @@ def with_noise(y: np.ndarray, decibel: float, rng: np.random.Generator) -> tuple
     return y + std * rng.standard_normal(y.shape), std
 
 
+def noise_bound(n: int) -> Table:
+    """White noise alone against its bound, for windows with all columns and with those that instruments keep."""
+    lines = [f"{'noise norm (m,p,L,T)':28} {'windows':>7} above bound   bound / median norm"]
+    broken, above, total = [], 0, 0
+    for cell, (m, p, L, T) in enumerate(itertools.product((1, 3), (1, 2, 4), (1, 4, 12), (150, 600))):
+        for past in (0, 3):
+            rng = generator(9, cell, past)
+            u = rng.uniform(-1, 1, (T, m))
+            c = T - past - L
+            W = hankel(u[: c + past + L], past + L + 1) if past else np.eye(1, c)
+            W = np.vstack([W, np.zeros((p * (L + 1), c))])
+            data = compress(W, m, p, L, c, m * past) if past else None
+            spread = data.spread if data else float(c)
+            Q = np.linalg.qr(W[: m * (past + L + 1)].T)[0] if past else None
+            bound = gaussian_norm(np.sqrt(p * (L + 1)), np.sqrt(spread), L)
+            norms = []
+            for _ in range(n):
+                H = hankel(rng.standard_normal((c + L, p)), L + 1)
+                kept = H if Q is None else H @ Q
+                norms.append(np.sqrt(np.linalg.eigvalsh(kept @ kept.T)[-1]))
+            count = int(np.sum(np.array(norms) > bound))
+            above, total = above + count, total + n
+            label = f"({m},{p},{L},{T}){' kept' if past else ''}"
+            lines.append(f"{label:28} {n:7} {count:11}   {bound / np.median(norms):.2f}")
+            if count > 0.001 * n + 4 * np.sqrt(0.001 * n) + 1:
+                broken.append(f"noise norm above its bound in {count} of {n} windows {label}")
+    lines.append(f"{'all':28} {total:7} {above:11}")
+    if above > 0.001 * total + 3 * np.sqrt(0.001 * total) + 1:
+        broken.append(f"noise norm above its bound in {above} of {total} windows")
+    return Table(lines, broken)
+
+
 def noise(n: int) -> Table:
-    lines = [f"{'noise (m,p,q,s,T)':22} {'dB':>4} {'plants':>7} PROVED  level estimated | false PROVED, both ways"]
+    lines = [
+        f"{'noise (m,p,q,s,T)':22} {'dB':>4} {'plants':>7} PROVED (95 %)  level estimated | false PROVED, both ways"
+    ]
     broken = []
+    everywhere = n
     for cell, (m, p, q, s, T) in enumerate(CELLS):
+        n = everywhere if q < LARGE else max(2, everywhere // 10)
         for decibel in (40, 60, 80, 100):
             count: Counter[tuple[bool, bool]] = Counter()
             for i in range(n):
@@ -196,11 +252,11 @@ def noise(n: int) -> Table:
                         level = None if estimated else std
                         report = analyze(u, y, prior=Prior(q=q, s=s), noise=level)
                         count[bad, estimated] += report.r_controllability.verdict == PROVED
-            rates = [100 * count[False, e] / n for e in (False, True)]
+            rates = [f"{100 * count[False, e] / n:.0f}% ({interval(count[False, e], n)})" for e in (False, True)]
             false = [count[True, e] for e in (False, True)]
             label = f"({m},{p},{q},{s},{T})"
             lines.append(
-                f"{label:22} {decibel:4} {n:7} {rates[0]:5.0f}% {rates[1]:14.0f}% | {false[0]:5} {false[1]:5} of {n}"
+                f"{label:22} {decibel:4} {n:7} {rates[0]:>15} {rates[1]:>15} | {false[0]:5} {false[1]:5} of {n}"
             )
             if any(false):
                 broken.append(f"false PROVED at {label}, {decibel} dB: {false}")
@@ -208,7 +264,7 @@ def noise(n: int) -> Table:
 
 
 def undeclared(n: int) -> Table:
-    """Noisy data declared exact, in windows that begin where a verdict becomes possible: one column to spare and more."""
+    """Noisy data declared exact, in windows from where a verdict becomes possible: one column to spare and more."""
     lines = [f"{'noise declared as none':22} {'plants':>7} PROVED by columns to spare: 1 2 3 4 | controllable plants"]
     broken = []
     for exponent in range(2, 15):
@@ -331,6 +387,7 @@ TABLES: dict[str, tuple[Callable[[int], Table], int]] = {
     "noise_free": (noise_free, 5000),
     "printed": (printed, 1500),
     "near": (near, 200),
+    "noise_bound": (noise_bound, 2000),
     "noise": (noise, 400),
     "undeclared": (undeclared, 100),
     "wrong_prior": (wrong_prior, 600),

@@ -9,7 +9,7 @@ from plant_sim import random_system
 from ros2_deepc.behavior import hankel
 from ros2_deepc.monitors import Noise, Prior, Verdict, analyze
 from ros2_deepc.monitors.compress import compress, toeplitz_norm
-from ros2_deepc.monitors.noise import estimate_std, marchenko_pastur_median
+from ros2_deepc.monitors.noise import estimate_levels, gaussian_norm, marchenko_pastur_median
 from ros2_deepc.monitors.source import from_records
 
 
@@ -44,7 +44,7 @@ def test_narrow_band_instruments_let_more_noise_through(rng):
     white = np.linalg.qr(rng.standard_normal((300, 2)))[0]
     assert toeplitz_norm([slow], 20) > 5 * toeplitz_norm([white], 20)
     norms = [np.linalg.norm(hankel(rng.standard_normal(319), 20) @ slow, 2) for _ in range(50)]
-    assert max(norms) <= 1.35 * (np.sqrt(20) + np.sqrt(toeplitz_norm([slow], 20)))
+    assert max(norms) <= gaussian_norm(np.sqrt(20), np.sqrt(toeplitz_norm([slow], 20)), 19)
 
 
 def test_toeplitz_norm_of_all_directions_is_their_number():
@@ -74,7 +74,33 @@ def test_level_is_estimated_within_a_quarter(rng):
         u = rng.uniform(-1, 1, (200, 2))
         y = plant.system.simulate(u, rng.standard_normal(4)).y
         source = from_records([(u, y + 1e-3 * rng.standard_normal(y.shape) * np.sqrt(np.mean(y**2, axis=0)))], 1)
-        assert estimate_std(source.window(8, 9), 4) == pytest.approx(1e-3, rel=0.25)
+        assert estimate_levels(source.window(8, 9), 4) == pytest.approx([1e-3, 1e-3], rel=0.25)
+
+
+def test_each_output_has_its_own_level(rng):
+    for seed in range(10):
+        plant = random_system(m=2, p=2, q=4, blocks=(1,), seed=seed)
+        u = rng.uniform(-1, 1, (200, 2))
+        y = plant.system.simulate(u, rng.standard_normal(4)).y
+        std = np.array([1e-2, 1e-4])
+        source = from_records([(u, y + std * rng.standard_normal(y.shape) * np.sqrt(np.mean(y**2, axis=0)))], 1)
+        assert estimate_levels(source.window(8, 9), 4)[0] == pytest.approx(1e-2, rel=0.25)
+        assert 1e-5 <= estimate_levels(source.window(8, 9), 4)[1] < 3e-3
+
+
+def test_a_better_sensor_beside_a_bad_one_is_used(rng):
+    """Outputs count by their noise: the margin hardly suffers from a third that is mostly noise."""
+    for seed in range(4):
+        plant = random_system(m=2, p=2, q=3, blocks=(1,), seed=seed)
+        u = rng.uniform(-1, 1, (200, 2))
+        y = plant.system.simulate(u, rng.standard_normal(3)).y
+        std = 1e-4 * np.sqrt(np.mean(y**2, axis=0))
+        good = y + std * rng.standard_normal(y.shape)
+        bad = y[:, :1] + 0.3 * np.std(y[:, 0]) * rng.standard_normal((200, 1))
+        alone = analyze(u, good, prior=Prior(q=3), noise=std).r_controllability
+        both = np.append(std, 0.3 * np.std(y[:, 0]))
+        beside = analyze(u, np.hstack([good, bad]), prior=Prior(q=3), noise=both).r_controllability
+        assert beside.margin > alone.margin - 6
 
 
 @pytest.mark.parametrize("noise", [0.01, None, Noise(bound=0.0174)])

@@ -23,6 +23,10 @@ ROWS = 700
 """Rows of data matrices beyond which no longer window is tried unasked."""
 
 
+FAR = 3
+"""How many times more inputs before the window are tried as instruments when few do not settle it: slow modes."""
+
+
 class Tried(NamedTuple):
     """One window length: what it showed, and from which data at which noise level (p,), None if that is not known."""
 
@@ -105,7 +109,7 @@ def _analyze(source: Source, prior: Prior, L: int | None, noise: Noise) -> Repor
     """The common path of all entries."""
     if L is not None and L < 1:
         raise ValueError(f"L = {L} must be at least 1")
-    noise.per_output(source.y_scale)
+    source = source.weighted(noise.weights(source.y_scale))
     exact = noise.source == "exact"
     lengths = _lengths(source, prior, L, exact=exact)
     best: Tried | None = None
@@ -163,9 +167,10 @@ def _at(source: Source, prior: Prior, L: int, noise: Noise) -> Tried:
     names = replace(SLOW, bound=noise.wording)
     outcome = decide(data, q, noise.hankel_bound(data, level), names)
     past = -(-q // source.m) + 1
-    if noise.averages and outcome.open and source.columns(L, d, past) >= source.m * (d + past):
-        kept = source.window(L, d, past)
-        outcome = merge(outcome, decide(kept, q, noise.hankel_bound(kept, level), names))
+    for longer in (past, FAR * past):
+        if noise.averages and outcome.open and source.columns(L, d, longer) > source.m * (d + longer):
+            kept = source.window(L, d, longer)
+            outcome = merge(outcome, decide(kept, q, noise.hankel_bound(kept, level), names))
     return Tried(outcome, data, level)
 
 

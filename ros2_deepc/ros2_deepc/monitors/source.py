@@ -64,6 +64,10 @@ class Source(ABC):
         """Whether the inputs are persistently exciting of that order, all records together."""
         return order < 1 or (self.wide(order) and excites(triangle(self.inputs(order))))
 
+    @abstractmethod
+    def weighted(self, weights: Array) -> Source:
+        """The same data with outputs divided by weights, shape (p,)."""
+
     def without_feedthrough(self, D: Array) -> Source:
         """The same data with y - D u for y; D in the units of the data, shape (p, m)."""
         return self.subtract(D * self.u_scale / self.y_scale[:, None])
@@ -111,6 +115,11 @@ class Records(Source):
         """The inputs' Hankel matrix, records side by side."""
         return np.hstack([hankel(r.u, order) for r in self.records if len(r.u) >= order])
 
+    def weighted(self, weights: Array) -> Records:
+        """The same data with outputs divided by weights, shape (p,)."""
+        records = tuple(Record(r.u, r.y / weights) for r in self.records)
+        return replace(self, records=records, y_scale=self.y_scale * weights)
+
     def subtract(self, D: Array) -> Records:
         """The same data with y - D u for y."""
         return replace(self, records=tuple(Record(r.u, r.y - r.u[: len(r.y)] @ D.T) for r in self.records))
@@ -151,6 +160,11 @@ class Factor(Source):
     def inputs(self, order: int) -> Array:
         """The rows of the inputs."""
         return self.F[:order, : self.m].reshape(order * self.m, -1)
+
+    def weighted(self, weights: Array) -> Factor:
+        """The same data with outputs divided by weights, shape (p,)."""
+        rows = np.concatenate([np.ones(self.m), weights])
+        return replace(self, F=self.F / rows[:, None], y_scale=self.y_scale * weights)
 
     def subtract(self, D: Array) -> Factor:
         """The same data with y - D u for y."""

@@ -15,7 +15,7 @@ from scipy.special import gammaincinv
 
 from .certify import certify
 from .compress import Compression
-from .noise import GAUSS
+from .noise import gaussian_norm
 from .pencil import Pencil, reduce
 from .search import Minimum, minimum
 from .verdict import Finding, Mode, Verdict
@@ -131,7 +131,7 @@ def hidden(data: Compression, q: int) -> float:
     r, c = data.spare(q)
     if min(r, c) < 1:
         return np.inf
-    whole = GAUSS * (np.sqrt(len(data.directions)) + np.sqrt(data.columns))
+    whole = gaussian_norm(float(np.sqrt(len(data.directions))), float(np.sqrt(data.columns)), data.L)
     return max(10.0, float(whole / np.sqrt(2 * gammaincinv(r * c / 2, HIDDEN) / min(r, c))))
 
 
