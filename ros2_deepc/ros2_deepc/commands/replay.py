@@ -3,18 +3,18 @@
 
 """`ros2-deepc replay`: a recorded run again, over topics or through today's code."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import Progress
 
 from ..bags.figure import draw
 from ..bags.reader import BagReader
 from ..bags.replay import replay as compare
-from ..bags.run import load_run
+from ..bags.run import find_namespace, load_run
 from ..bags.whatif import what_if
 from ..control import DeepcController
 from ..demo import SETTINGS
@@ -24,6 +24,7 @@ from ..nodes.player import Player
 from ..nodes.replaying import cores
 from ..ros.parameters import ConfigError
 from ..ros.run import ros
+from .bar import bar
 
 _PARTS = ("controller", "monitor", "all")
 _SECONDS = 2.0  # to let readers find the player
@@ -42,6 +43,9 @@ def replay(
     rate: Annotated[
         float, typer.Option(help="Republish at this multiple of real time; 0 = as fast as possible.", min=0)
     ] = 1.0,
+    max_pause: Annotated[
+        float, typer.Option(help="Longest silence of the bag that is kept when it is republished [s].", min=0)
+    ] = math.inf,
     step: Annotated[bool, typer.Option("--step", help="Republish sample by sample, at each press of Enter.")] = False,
     namespace: Annotated[str | None, typer.Option(help="Namespace of the plant, if the bag holds several.")] = None,
 ) -> None:
@@ -51,7 +55,7 @@ def replay(
     that differs is named, with the field and by how much.
 
     Examples:
-      ros2-deepc replay runs/today/bag --rate 10
+      ros2-deepc replay runs/today/bag --rate 10 --max-pause 2
       ros2-deepc replay runs/today/bag --recompute all
       ros2-deepc replay runs/today/bag --what-if other.yaml
     """
@@ -61,7 +65,7 @@ def replay(
     elif try_settings is not None:
         _what_if(console, bag, load(try_settings), namespace, out)
     else:
-        _republish(console, bag, rate, step)
+        _republish(console, bag, rate, max_pause, step)
 
 
 def _settings(bag: Path, given: Path | None) -> Parameters:
@@ -78,11 +82,8 @@ def _recompute(console: Console, bag: Path, part: str, parameters: Parameters, n
         raise ConfigError(f"--recompute {part}: choose one of {', '.join(_PARTS)}")
     makers = cores(parameters)
     chosen = makers if part == "all" else {part: makers[part]}
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("replaying")
-        result = compare(
-            bag, chosen, namespace=namespace, progress=lambda done, total: bar.update(task, completed=done, total=total)
-        )
+    with bar(console, "replaying") as progress:
+        result = compare(bag, chosen, namespace=namespace, progress=progress)
     for topic, count in result.compared.items():
         console.print(f"  {topic}: {count} compared")
     for difference in result.differences:
@@ -100,9 +101,13 @@ def _recompute(console: Console, bag: Path, part: str, parameters: Parameters, n
 def _what_if(console: Console, bag: Path, parameters: Parameters, namespace: str | None, out: Path | None) -> None:
     reader = BagReader(bag)
     run = load_run(reader, namespace)
-    info = next(message for _, message in reader.decoded([t for t in reader.topics if t.endswith("plant_info")]))
+    plants = reader.decoded([f"{find_namespace(reader, namespace)}/plant_info"])
+    info = next((message for _, message in plants), None)
+    if info is None:
+        raise ConfigError(f"bag {bag} has no plant_info: nothing says what the plant is")
     controller = DeepcController(run.u.shape[1], run.y.shape[1], settings_for(parameters["controller"], info))
-    answer = what_if(run, controller)
+    with bar(console, "asking") as progress:
+        answer = what_if(run, controller, progress=progress)
     if answer.missing:
         raise ConfigError(f"these settings never gave an answer on this run: {answer.missing}")
     rows = np.flatnonzero(np.isfinite(answer.u).all(axis=1))
@@ -114,17 +119,20 @@ def _what_if(console: Console, bag: Path, parameters: Parameters, namespace: str
         console.print(f"  {name}: at most {furthest:.4g} {unit} from what was applied")
 
 
-def _republish(console: Console, bag: Path, rate: float, step: bool) -> None:
+def _republish(console: Console, bag: Path, rate: float, max_pause: float, step: bool) -> None:
     reader = BagReader(bag)
 
     def wait_for_enter() -> None:
         input("Enter for the next sample ")
 
-    with ros([]) as context, Progress(console=console, transient=True, disable=step) as bar:
-        gate = wait_for_enter if step else None
-        player = Player(reader, 0.0 if step else rate, gate, context=context, use_global_arguments=False)
+    with ros([]) as context:
+        speed, gate = (0.0, wait_for_enter) if step else (rate, None)
+        player = Player(reader, speed, pause=max_pause, gate=gate, context=context, use_global_arguments=False)
         player.wait_for_readers(_SECONDS)
-        task = bar.add_task("publishing")
-        count = player.play(lambda done, total: bar.update(task, completed=done, total=total))
+        if step:
+            count = player.play()
+        else:
+            with bar(console, "publishing") as progress:
+                count = player.play(progress)
         player.destroy_node()
     console.print(f"  {count} messages published")
