@@ -8,6 +8,7 @@ python docs/tables.py            rewrite README.md
 import re
 from pathlib import Path
 
+from ros2_deepc.gateway.gateway_node import GatewayNode
 from ros2_deepc.nodes.config import ROLES, node_class
 from ros2_deepc.ros import topics
 from ros2_deepc.ros.parameters import markdown
@@ -26,7 +27,8 @@ def topic_table() -> str:
 
 def tables() -> dict[str, str]:
     """Every generated table by the name of its marker."""
-    return {"topics": topic_table()} | {role: markdown(node_class(role).parameters) for role in ROLES}
+    nodes = {role: node_class(role) for role in ROLES} | {"gateway": GatewayNode}
+    return {"topics": topic_table()} | {role: markdown(node.parameters) for role, node in nodes.items()}
 
 
 def filled(text: str) -> str:
