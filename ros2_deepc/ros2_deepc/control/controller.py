@@ -65,6 +65,10 @@ class DeepcController:
         self._sized = self._with_mask(self._sized)
         self._data = RunData(self._sized)
         self._recent = DataWindow(self._sized.m + base.disturbances, self._sized.p, base.past)
+        rows = np.arange(base.past * (self._sized.m + base.disturbances + self._sized.p)).reshape(base.past, -1)
+        ends = np.cumsum([self._sized.m, base.disturbances])
+        # places of [u; d; y] over the past samples in a record of whole samples
+        self._by_channel = np.concatenate([part.ravel() for part in np.split(rows, ends, axis=1)])
         self._planner = Planner(self._sized)
         self._rng = np.random.Generator(np.random.PCG64([base.seed, DITHER_STREAM]))
         self._ahead: list[Array] = []  # known inputs after the last observed sample
@@ -322,18 +326,18 @@ class DeepcController:
             lacking = ahead - len(self._ahead)
             raise NotReadyError(f"not ready: with s = {base.s}, commit() the {lacking} input(s) after the last sample")
         past = self._recent.last(base.past)
-        committed = self._ahead[:ahead]
-        if not base.disturbances:
-            return np.concatenate([past[:, :m].ravel(), *committed, past[:, m:].ravel()])
+        by_channel: Array = past.ravel()[self._by_channel]
+        if not ahead and not base.disturbances:
+            return by_channel
+        u, d_past, y = np.split(by_channel, [base.past * m, base.past * (m + base.disturbances)])
         nd, rows = base.disturbances, base.L + ahead
-        d_past = past[:, m : m + nd]
-        d = np.asarray(d_past[-1] if forecast is None else forecast, dtype=np.float64)
+        d = np.asarray(past[-1, m : m + nd] if forecast is None else forecast, dtype=np.float64)
         if d.shape not in ((nd,), (rows, nd)):
             raise ValueError(f"forecast has shape {d.shape}: give ({nd},) or ({rows}, {nd})")
         if not np.isfinite(d).all():
             raise ValueError("forecast must be finite")
         d = np.broadcast_to(d, (rows, nd))
-        return np.concatenate([past[:, :m].ravel(), *committed, d_past.ravel(), d.ravel(), past[:, m + nd :].ravel()])
+        return np.concatenate([u, *self._ahead[:ahead], d_past, d.ravel(), y])
 
     def _without_solution(self, remark: str) -> tuple[Status, Plan]:
         """The last checked plan shifted to now, or the fallback."""

@@ -184,15 +184,25 @@ def make_solver(name: str) -> QpSolver:
     return Osqp() if name == "osqp" else Daqp()
 
 
-def fault(answer: Answer, H: Array, f: Array, A: Array, lower: Array, upper: Array, tolerance: float = 1e-4) -> str:
+def fault(answer: Answer, H: Array, f: Array, A: Array, lower: Array, upper: Array, steepest: float = 0.0) -> str:
     """Checks an answer against the optimality conditions; empty if they hold, else what is wrong with it.
 
     Tolerances are relative to the size of the terms that are compared.
+
+    Args:
+        answer: to be checked.
+        H: as in `QpSolver`, like f, A, lower and upper.
+        f: shape (n,).
+        A: shape (rows, n).
+        lower: shape (n + rows,).
+        upper: shape (n + rows,).
+        steepest: largest diagonal entry of H; looked up if 0.
     """
     if not answer.solved:
         return answer.status
     if not A.shape[0]:
-        return _box_fault(answer.x, H, f, lower, upper)
+        return _box_fault(answer.x, H, f, lower, upper, steepest or float(H.diagonal().max()))
+    tolerance = 1e-4
     x, y, n = answer.x, answer.y, answer.x.size
     if not math.isfinite(float(x @ x) + float(y @ y)):
         return "not finite"
@@ -212,14 +222,15 @@ def fault(answer: Answer, H: Array, f: Array, A: Array, lower: Array, upper: Arr
     return ""
 
 
-def _box_fault(x: Array, H: Array, f: Array, lower: Array, upper: Array, tolerance: float = 1e-5) -> str:
+def _box_fault(x: Array, H: Array, f: Array, lower: Array, upper: Array, steepest: float) -> str:
     """The same for a box alone: x is optimal if and only if a projected gradient step leads back to it.
 
     This covers bounds, stationarity and the signs of multipliers at once, and any NaN.
     """
-    step = H @ x
+    tolerance = 1e-5
+    step = H @ x  # in place from here on: this is run at every step, between sample and command
     step += f
-    step *= -1.0 / H.diagonal().max()
+    step *= -1.0 / steepest
     step += x
     np.maximum(step, lower, out=step)
     np.minimum(step, upper, out=step)
@@ -246,10 +257,11 @@ class CheckedSolver:
         self.solvers = (make_solver(first), make_solver("daqp" if first == "osqp" else "osqp"))
         self._loaded = [False, False]
         self._program: Condensed | None = None
+        self._steepest = 0.0
 
     def load(self, program: Condensed) -> None:
         """Takes a new program; the second solver gets it when it is needed."""
-        self._program = program
+        self._program, self._steepest = program, float(program.H.diagonal().max())
         self.solvers[0].load(program.H, program.A, program.lower, program.upper)
         self._loaded = [True, False]
 
@@ -270,7 +282,7 @@ class CheckedSolver:
                 self._loaded[i] = True
             try:
                 answer = solver.solve(f, lower, upper)
-                complaint = fault(answer, H, f, A, lower, upper)
+                complaint = fault(answer, H, f, A, lower, upper, self._steepest)
             except Exception as error:  # whatever a solver throws, the plant needs an input
                 complaint = f"{type(error).__name__}: {error}"
                 self._loaded[i] = False
