@@ -47,6 +47,7 @@ class Patch:
 
 
 def sample(channels: int) -> Patch:
+    """Samples of that many channels, always the same values."""
     from deepc_msgs.msg import Sample
 
     rng = np.random.Generator(np.random.PCG64(1))
@@ -255,18 +256,28 @@ def bench_long(folder: Path, samples: int = 1_000_000) -> Iterator[str]:
     from ros2_deepc.nodes.monitor_node import report_message
 
     yield f"long    {samples} samples written in {cpu(lambda: write_long(folder / 'long', samples)):.0f} s CPU"
+    size = sum(f.stat().st_size for f in (folder / "long").iterdir()) / 1e6
+    before, calls = peak(), [0]
     run: list[object] = []
     seconds = cpu(lambda: run.append(load_run(folder / "long")))
-    yield f"long    loaded in {seconds:.0f} s CPU, peak memory {peak():.0f} MB so far"
+    yield f"long    {size:.0f} MB loaded in {seconds:.1f} s CPU, peak memory {peak():.0f} MB, {before:.0f} before"
     if len(run[0]) != samples or summarize(run[0])["steps"] != samples:
         yield "BROKEN: samples were lost"
     run.clear()
-    seconds = cpu(lambda: write_report(folder / "long", folder / "r.html"))
-    yield f"long    report in {seconds:.0f} s CPU, peak {peak():.0f} MB"
+
+    def count(done: int, total: int) -> None:
+        calls[0] += 0 < done <= total
+
+    total = cpu(lambda: write_report(folder / "long", folder / "r.html", progress=count))
+    yield f"long    report in {total:.1f} s CPU, told how far it was {calls[0]} times, peak {peak():.0f} MB"
+    if peak() - before > 50 + 600e-6 * samples:
+        yield f"BROKEN: more than 600 bytes a sample ({peak() - before:.0f} MB)"
+    if total > 5 + 40e-6 * samples:
+        yield "BROKEN: the report takes more than 40 us a sample"
     live = LiveMonitor(Prior(q=2, s=1, n=2), window=200, period=max(samples // 50, 1))
     before = peak()
     seconds = cpu(lambda: replay(folder / "long", {"monitor": lambda _: MonitorCore(live, report_message)}))
-    yield f"long    monitors replayed in {seconds:.0f} s CPU, peak {peak():.0f} MB"
+    yield f"long    monitors replayed in {seconds:.1f} s CPU, peak {peak():.0f} MB"
     if peak() > before + 50:
         yield f"BROKEN: the replay needed {peak() - before:.0f} MB more"
 
@@ -302,6 +313,7 @@ def write_long(folder: Path, samples: int) -> None:
 
 
 def main() -> int:
+    """Prints the tables that are asked for; 1 if a claim is broken."""
     tables = {"write": bench_write, "read": bench_read, "record": bench_record, "loop": bench_loop, "long": bench_long}
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("tables", nargs="*", choices=[*tables, []], help="default: all")
