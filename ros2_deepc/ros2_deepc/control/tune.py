@@ -80,7 +80,7 @@ def tune(
     *,
     N: Sequence[int] = (3, 4, 6, 8, 12),
     L: Sequence[int] = (8, 12, 16, 24),
-    q: Sequence[int] = (0,),
+    q: Sequence[int] = (0, 2, 4, 6, 8, 12),
     T: Sequence[int] = (0,),
     form: Sequence[Form] = ("absolute", "incremental"),
     tolerance: float = 0.2,
@@ -101,7 +101,8 @@ def tune(
         base: all other settings; its N, L, q, T and form are replaced.
         N: candidates for the past samples.
         L: candidates for the horizon.
-        q: candidates for the slow order; 0 keeps all directions.
+        q: candidates for the slow order, to which the free response is cut: the regularisation of the predictor; 0 keeps
+            all directions.
         T: candidates for the window; 0 takes the least that Corollary 1 asks for, in white inputs.
         form: candidates for the form.
         tolerance: acceptable error at the end of the horizon, in standard deviations of the outputs.
