@@ -184,7 +184,7 @@ CELLS = (
     (10, 10, 20, 1, 1000),
 )
 LARGE = 10
-"""Slow dimension from which a tenth of the plants must do."""
+"""Slow dimension from which a tenth of the plants must do, if that is any."""
 
 
 def interval(hits: int, n: int) -> str:
@@ -238,7 +238,9 @@ def noise(n: int) -> Table:
     broken = []
     everywhere = n
     for cell, (m, p, q, s, T) in enumerate(CELLS):
-        n = everywhere if q < LARGE else max(2, everywhere // 10)
+        n = everywhere if q < LARGE else everywhere // 10
+        if not n:
+            continue
         for decibel in (40, 60, 80, 100):
             count: Counter[tuple[bool, bool]] = Counter()
             for i in range(n):
