@@ -29,6 +29,7 @@ COMMANDS = {
     "tune": "tune",
     "gateway": "gateway",
     "field": "gateway",
+    "ask": "ask",
 }
 
 

@@ -3,7 +3,10 @@
 
 """A grid simulator on plain topics, at different rates, through the gateway node and its services."""
 
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -110,6 +113,15 @@ def world(domain_id, tmp_path, request):
             node.destroy_node()
 
 
+def as_typed(until, *request):
+    """What `ros2-deepc ask` answers: exit code and text."""
+    command = Path(sys.executable).parent / "ros2-deepc"
+    child = subprocess.Popen([command, "ask", *request], stdout=subprocess.PIPE, text=True)
+    with child:
+        until(lambda: child.poll() is not None)
+        return child.returncode, child.stdout.read()
+
+
 def test_from_shadow_to_run_to_fallback_and_back(world):
     gateway, sim, until, ask = world
     until(lambda: len(sim.samples) > 3 and sim.infos)
@@ -146,8 +158,11 @@ def test_from_shadow_to_run_to_fallback_and_back(world):
 def test_a_simulator_that_stops_is_noticed_and_its_return_needs_no_restart(world):
     gateway, sim, until, ask = world
     until(lambda: len(sim.samples) > 3)
-    assert ask(sim.auto, SetBool.Request(data=True)).success
+    assert as_typed(until, "auto") == (0, "the heartbeat is on; commands are passed on after a few good samples\n")
     until(lambda: sim.infos[-1].epoch == 2)
+    code, said = as_typed(until, "acknowledge")
+    assert code == 1
+    assert said.startswith("nothing to acknowledge in ")
     sim.running = False
     until(lambda: gateway.gateway.state == "FALLBACK")
     assert "no sample" in gateway.gateway.supervisor.reason
