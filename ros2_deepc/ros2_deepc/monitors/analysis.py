@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from .compress import Array, Compression
@@ -25,6 +26,9 @@ ROWS = 700
 
 FAR = 3
 """How many times more inputs before the window are tried as instruments when few do not settle it: slow modes."""
+
+REACH = -6.0
+"""Margin [dB] from which that may help."""
 
 
 class Tried(NamedTuple):
@@ -167,8 +171,9 @@ def _at(source: Source, prior: Prior, L: int, noise: Noise) -> Tried:
     names = replace(SLOW, bound=noise.wording)
     outcome = decide(data, q, noise.hankel_bound(data, level), names)
     past = -(-q // source.m) + 1
-    for longer in (past, FAR * past):
-        if noise.averages and outcome.open and source.columns(L, d, longer) > source.m * (d + longer):
+    for longer, reach in ((past, -np.inf), (FAR * past, REACH)):
+        fits = source.columns(L, d, longer) > source.m * (d + longer)
+        if noise.averages and outcome.open and fits and not outcome.controllability.margin < reach:
             kept = source.window(L, d, longer)
             outcome = merge(outcome, decide(kept, q, noise.hankel_bound(kept, level), names))
     return Tried(outcome, data, level)

@@ -93,14 +93,14 @@ def compress(
     a = kept - instruments
     if W.shape[1] < kept:
         raise ValueError(f"{W.shape[1]} columns cannot excite {kept} input rows: record longer or take a smaller L")
-    if instruments:
-        Q, factor = np.linalg.qr(W.T)
-        R = factor.T
-        edges = np.cumsum(pieces, dtype=int)[:-1]
-        spread, last = toeplitz_norm(np.split(Q[:, :kept], edges), L + 1), kept
-    else:
-        R, spread, last = triangle(W), float(columns), W.shape[0]
-    return split(R[:a, :a], R[kept:, :a], R[kept:, a:last], m, p, L, columns, spread, float(np.linalg.norm(W)))
+    norm = float(np.linalg.norm(W))
+    if not instruments:
+        R = triangle(W)
+        return split(R[:a, :a], R[a:, :a], R[a:, a:], m, p, L, columns, float(columns), norm)
+    Q, R = np.linalg.qr(W[:kept].T)
+    Y = W[kept:] @ Q
+    spread = toeplitz_norm(np.split(Q, np.cumsum(pieces, dtype=int)[:-1]), L + 1)
+    return split(R[:a, :a].T, Y[:, :a], Y[:, a:], m, p, L, columns, spread, norm)
 
 
 def split(
