@@ -168,7 +168,7 @@ def near(n: int) -> Table:
             reference.setdefault(i, ratio)
             ratios.append(ratio / reference[i])
         lines.append(f"{f'1e-{exponent}':28} {n:7} {proved:6}  {min(ratios):.3f} {max(ratios):.3f}")
-        if 3 <= exponent <= 12 and not (min(ratios) > 0.5 and max(ratios) < 2):
+        if 2 <= exponent <= 13 and not (min(ratios) > 0.5 and max(ratios) < 2):
             broken.append(f"margin at distance 1e-{exponent} is off by {min(ratios):.2f} to {max(ratios):.2f}")
         if exponent <= 10 and proved < n:
             broken.append(f"{n - proved} plants at distance 1e-{exponent} not proved")

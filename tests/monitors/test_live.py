@@ -188,3 +188,17 @@ def test_the_indicator_warns_before_the_next_report():
         live.input(k, [inputs[k]])
         live.output(k, outputs[k])
     assert "persistently exciting" in live.indicator().reason
+
+
+def test_the_indicator_weighs_outputs_by_their_noise_as_the_report_does():
+    inputs, rng = excitation(150), np.random.Generator(np.random.PCG64(3))
+    clean = np.array(stream(inputs))
+    std = np.array([1e-4, 0.3])
+    outputs = np.hstack([clean, clean]) + std * rng.standard_normal((150, 2))
+    live = LiveMonitor(Prior(q=2), window=100, period=50, noise=std)
+    reports = feed(live, inputs, outputs)
+    seen = live.indicator()
+    fresh = live.records()[0]
+    alone = indicate(fresh[0], fresh[1][:, :1], prior=Prior(q=2), L=live._stream.L, noise=1e-4)
+    assert reports[-1].report.r_controllability.verdict is Verdict.PROVED
+    assert seen.controllability > alone.controllability - 6  # the second sensor is of no use, and no harm

@@ -72,14 +72,15 @@ class Stream:
             return too_short(missing, need, self.L)
         if self._changes:
             noise = noise_of_changes(noise, self._peak)
-        data, y_scale = self.compression()
+        data, y_scale = self.compression(noise)
         return margins(data, y_scale, self.prior.q, noise)
 
-    def compression(self) -> tuple[Compression, Array]:
-        """The window in scaled units, and output units per scaled unit, shape (p,)."""
+    def compression(self, noise: Noise) -> tuple[Compression, Array]:
+        """The window in scaled units, outputs weighed by their noise; and output units per scaled unit, shape (p,)."""
         R, columns = self._factor.factor().T, self._factor.held
         squares = np.bincount(self._channel, np.einsum("ij,ij->i", R, R)) / np.bincount(self._channel)
         scale = np.where(squares > 0, np.sqrt(squares / columns), 1.0)
+        scale[self.m :] *= noise.weights(scale[self.m :])
         R = R / scale[self._channel][:, None]
         a = self.m * (self.L + self.prior.s)
         data = split(
