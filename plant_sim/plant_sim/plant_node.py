@@ -118,6 +118,8 @@ class PlantNode(ManagedNode):
         self.foreign = 0
         """Inputs refused because another controller commands the plant; they count as refused, too."""
         self.held_samples = 0
+        self.skipped = 0
+        """Ticks of real time that passed without a sample, because the process was held up."""
 
     @staticmethod
     def plant_of(parameters: Mapping[str, Any]) -> Plant:
@@ -170,6 +172,7 @@ class PlantNode(ManagedNode):
         self._pending: dict[int, np.ndarray] = {}
         wall = 0.0 if self._lockstep else self.plant.sample_time / self.p["speed"]
         self._owner, self._health = Owner(self._claimants, 2.0 * wall), Health(wall)
+        self._wall = wall
         self._ticked = math.nan
         self._start_ns = self._period if self._lockstep else self.get_clock().now().nanoseconds
         speed = 1.0 if self._lockstep else self.p["speed"]
@@ -239,8 +242,19 @@ class PlantNode(ManagedNode):
         else:
             self._held = 0
         gap, self._ticked = now - self._ticked, now
+        self._note_skipped(gap)
         self._step(u)
         self._health.sample(gap, time.monotonic() - now, limited=False)
+
+    def _note_skipped(self, gap: float) -> None:
+        """A timer leaves out the ticks that a stalled process has missed: the plant then lags behind its real time."""
+        skipped = 0 if math.isnan(gap) else round(gap / self._wall) - 1
+        if skipped > 0:
+            self.skipped += skipped
+            self.get_logger().warning(
+                f"held up for {gap:.3g} s: {skipped} ticks left out, {self.skipped} since start",
+                throttle_duration_sec=5.0,
+            )
 
     def _tell(self) -> None:
         """How the plant is: what it says itself (a simulator's warnings, events), and whether it is commanded."""
@@ -265,6 +279,7 @@ class PlantNode(ManagedNode):
             "refused": self.refused,
             "foreign": self.foreign,
             "held": self.held_samples,
+            "skipped": self.skipped,
             "outputs_late": self._outputs.deadlines_missed,
             **self._health.values(),
         }
