@@ -114,7 +114,7 @@ class Supervisor:
         if trouble or moved:
             return Answer(False, f"AUTO refused: {trouble or moved}")
         self._arm(now, "AUTO asked for, waiting for good samples")
-        return Answer(True, "the heartbeat is on; commands are passed on after a few good samples")
+        return Answer(True, "commands are passed on after a few good samples")
 
     def shadow(self, now: float) -> Answer:
         """Asks for nothing to be written any more."""
