@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The controller and the monitors as parts that a replay can feed."""
 
+import json
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -68,7 +69,9 @@ class ControllerCore:
         return self._answers(self._joined.told())
 
     def change(self, k: int, name: str, value: str) -> list[Answer]:
-        """Takes what an operator or the clock did."""
+        """Takes what an operator or the clock did, and references when the controller did."""
+        if name == "reference":
+            return self.reference(*json.loads(value))
         if self._change is None:
             return []
         return [_inputs(i, u) for i, u in self._change(self._agent, k, name, value)]

@@ -4,6 +4,7 @@
 
 import hashlib
 import os
+from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -24,7 +25,7 @@ Array = NDArray[np.float64]
 # what depends on the clock or on what never reached the topics
 STATE_SKIP = frozenset({"header", "epoch", "prepare_time", "solve_time", "deadline_misses", "refused"})
 REPORT_SKIP = frozenset({"header", "epoch", "data_age", "compute_time"})
-START = 200  # messages kept back at the start of an epoch, at most
+START = 200  # messages kept back at the start of an epoch, or before it, at most
 WAITING = 1000  # answers that may wait for their counterpart before they count as missing
 
 
@@ -106,15 +107,30 @@ def replay(
     prefix = find_namespace(reader, namespace)
     matcher = _Matcher({topic for name in cores for topic in ANSWERS[name]})
     changes = {name: _changes(reader, f"{prefix}/{CHANGES[name]}") for name in cores}
+    references: dict[int, Any] = {}
+    early: deque[tuple[str, Any]] = deque(maxlen=START)  # seen before what says whose they are
     feeder: _Feeder | None = None
     total = reader.message_count
     for done, (topic, message) in enumerate(_stream(reader, prefix, matcher.topics)):
         if topic == "plant_info":
-            if feeder is not None:
+            if feeder is not None and feeder.epoch != message.epoch:
                 feeder.finish()
-            made = [(make(message), changes[name].pop(message.epoch, [])) for name, make in cores.items()]
+            elif feeder is not None:
+                feeder.flush()  # the same epoch again, as a bag that loops has it: its changes may be still to come
+            made = [(make(message), changes[name].get(message.epoch, [])) for name, make in cores.items()]
             feeder = _Feeder(message, made, matcher)
-        elif feeder is not None:
+            for reference in references.values():  # those of before hold on, as for the node
+                feeder.take("reference", reference)
+            for item in early:
+                feeder.take(*item)
+            early.clear()
+        elif topic == "reference":
+            references[message.k] = message
+            if feeder is not None:
+                feeder.take(topic, message)
+        elif feeder is None or message.epoch != feeder.epoch:
+            early.append((topic, message))
+        else:
             feeder.take(topic, message)
         if done % 1000 == 0:
             progress(done, total)
@@ -176,21 +192,22 @@ def _changes(reader: BagReader, topic: str) -> dict[int, list[Any]]:
 class _Feeder:
     """One epoch: hands the samples to the cores as the nodes would take them.
 
-    A recorder does not see two topics in the order in which a controller saw them. That matters at the start only,
-    where the loop waits for a reference; so messages are kept back until the first sample was answered, and references
-    go first.
+    A recorder does not see two topics in the order in which a controller saw them. Where the controller noted when it
+    took its references, they are taken from there. Otherwise the order matters at the start only, where the loop waits
+    for a reference; so messages are kept back until the first sample was answered, and references go first.
     """
 
     def __init__(self, info: Any, cores: list[tuple[Core, list[Any]]], matcher: "_Matcher") -> None:
-        self._epoch, self._cores, self._matcher = info.epoch, cores, matcher
+        self.epoch, self._cores, self._matcher = info.epoch, cores, matcher
         m, p = len(info.input_names), len(info.output_names)
         self._sizes = {"inputs": m, "outputs": p, "reference": p}
         self._k, self._s = -1, max(int(info.s), 1)
         self._kept: list[tuple[str, Any]] | None = []
+        self._noted = any(change.name == "reference" for _, changes in cores for change in changes)
 
     def take(self, topic: str, message: Any) -> None:
         """One recorded message."""
-        if message.epoch != self._epoch:
+        if message.epoch != self.epoch and topic != "reference":
             return
         if self._kept is None:
             self._deliver(topic, message)
@@ -216,21 +233,21 @@ class _Feeder:
         while changes and (k is None or changes[0].k <= k):
             change = changes.pop(0)
             for answer in core.change(change.k, change.name, change.value):
-                self._matcher.computed(self._epoch, *answer)
+                self._matcher.computed(self.epoch, *answer)
 
     def _deliver(self, topic: str, message: Any) -> None:
         for core, changes in self._cores:
             if topic == "outputs":
                 self._change(core, changes, message.k)
             for answer in self._ask(core, topic, message):
-                self._matcher.computed(self._epoch, *answer)
+                self._matcher.computed(self.epoch, *answer)
         if getattr(message, "overdue", False):
             return  # decided by the clock, stands among the changes
         if topic == "outputs":
             self._k = max(self._k, message.k)
             self._matcher.output(message, self._s)
         elif not (topic == "inputs" and any(core.listens for core, _ in self._cores)):
-            self._matcher.recorded(topic, self._epoch, message)
+            self._matcher.recorded(topic, self.epoch, message)
 
     def _ask(self, core: Core, topic: str, message: Any) -> list[Answer]:
         if topic not in _SAMPLES or not message.usable:
@@ -240,7 +257,7 @@ class _Feeder:
         if len(message.values) != self._sizes[topic]:
             return []
         if topic == "reference":
-            return core.reference(message.k, message.values)
+            return [] if self._noted else core.reference(message.k, message.values)
         if topic == "inputs":
             return core.inputs(message.k, message.values)
         return core.outputs(message.k, message.values, message.held) if message.k > self._k else []
@@ -253,7 +270,7 @@ class _Matcher:
         self._result = Replay()
         self._waiting: dict[str, dict[tuple[int, int], tuple[bool, Any]]] = {topic: {} for topic in topics}
         self.topics = topics
-        self._last: dict[str, int] = dict.fromkeys(topics, -1)
+        self._last: dict[tuple[str, int], int] = {}  # newest k recorded, by topic and epoch
         self._differs: set[str] = set()
         self._hash = hashlib.sha256()
         self._inputs: dict[tuple[int, int], bytes] = {}
@@ -262,7 +279,7 @@ class _Matcher:
     def recorded(self, topic: str, epoch: int, message: Any) -> None:
         """One recorded answer; of those to the same sample the first one counts."""
         if topic in self._waiting:
-            self._last[topic] = message.k
+            self._last[topic, epoch] = message.k
             answer = SimpleNamespace(values=message.values) if topic == "inputs" else message
             self._pair(topic, (epoch, message.k), True, answer)
 
@@ -286,7 +303,10 @@ class _Matcher:
     def result(self) -> Replay:
         """Closes the books."""
         for topic, waiting in self._waiting.items():
-            lost = sum(was_recorded or k <= self._last[topic] for (_, k), (was_recorded, _) in waiting.items())
+            lost = sum(
+                was_recorded or k <= self._last.get((topic, epoch), -1)
+                for (epoch, k), (was_recorded, _) in waiting.items()
+            )
             self._result.unmatched[topic] = self._result.unmatched.get(topic, 0) + lost
         if self._inputs:
             self._result.loop_hash = self._hash.hexdigest()

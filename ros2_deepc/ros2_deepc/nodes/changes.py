@@ -13,9 +13,20 @@ from ..control.agent import Agent, Array
 from ..control.settings import LIVE
 from .controller_settings import settings_for
 
-MODE, PARAMETERS, MODES, CUT, OVERDUE, LEAVE = "mode", "parameters", "modes", "cut", "overdue", "leave"
-"""An operator asked for a mode; parameters changed; a monitor reported modes at fault; samples do not follow each
-other; outputs are overdue; the controller was stopped."""
+REFERENCE = "reference"
+"""A reference was taken."""
+MODE = "mode"
+"""An operator asked for a mode."""
+PARAMETERS = "parameters"
+"""Parameters changed, those that may change while running."""
+MODES = "modes"
+"""A monitor reported the modes that the inputs do not reach."""
+CUT = "cut"
+"""The next sample does not follow the last one."""
+OVERDUE = "overdue"
+"""Outputs did not come in time."""
+LEAVE = "leave"
+"""The controller was stopped."""
 
 
 def change_parameters(agent: Agent, parameters: dict[str, Any], info: PlantInfo, changes: Mapping[str, Any]) -> None:

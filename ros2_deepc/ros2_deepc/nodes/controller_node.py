@@ -35,6 +35,7 @@ from .controller_state import state_message
 __all__ = ["PARAMETERS", "ControllerNode", "make_agent", "settings_for", "state_message"]
 
 _FASTEST = 1e-3  # [s]; no clock watches a loop that is faster
+_AGAIN = 1.0  # [s] without outputs after which the first inputs are sent once more
 
 
 class ControllerNode(ManagedNode):
@@ -51,6 +52,8 @@ class ControllerNode(ManagedNode):
         super().__init__("controller", **kwargs)
         self.refused = 0
         self.deadline_misses = 0
+        self.jumps = 0
+        """Outputs whose stamps do not fit their numbers; no column of the data spans them."""
 
     @classmethod
     def check(cls, parameters: Mapping[str, Any], info: PlantInfo) -> None:
@@ -110,7 +113,7 @@ class ControllerNode(ManagedNode):
         self._t0, self._period = nanoseconds(info.header.stamp), period_ns(info.sample_time)
         self._wall = 0.0 if info.lockstep else info.sample_time / (info.speed or 1.0)
         self._health = Health(self._wall)
-        self._arrived, self._quiet, self._overdue = math.nan, 0, 0
+        self._arrived, self._quiet, self._overdue, self._stamp = math.nan, 0, 0, 0
         if self._inputs is None:
             self._connect(info)
         for k, msg in sorted(self._early.items()):
@@ -129,7 +132,7 @@ class ControllerNode(ManagedNode):
         if self.p["shadow"]:
             self.subscribe(topics.INPUTS, self._on_inputs, lockstep=lockstep)
         # A requested deadline would shut out every plant that does not offer one, so a timer looks instead.
-        if not lockstep and self.p["patience"] and self._wall >= _FASTEST:
+        if not lockstep and self._wall >= _FASTEST:
             look = self.guarded(lambda _: self._look())
             steady = Clock(clock_type=ClockType.STEADY_TIME)
             self.resources.callback(self.destroy_timer, self.create_timer(self._wall, lambda: look(None), clock=steady))
@@ -193,6 +196,7 @@ class ControllerNode(ManagedNode):
         if reason:
             self._refuse(f"reference from {k} on: {reason}")
             return
+        self._enter(changes.REFERENCE, [k, list(msg.values)])
         self._agent.references.set(k, msg.values)
 
     def _begin(self) -> None:
@@ -202,8 +206,21 @@ class ControllerNode(ManagedNode):
         if self._started or waits or self._agent.references.at(0) is None:
             return
         self._started = True
-        for k, u in enumerate(self._agent.start()):
+        self._first = list(enumerate(self._agent.start()))
+        self._send_first()
+
+    def _send_first(self) -> None:
+        self._begun = time.monotonic()
+        for k, u in self._first:
             self._send(k, u)
+
+    def _begin_again(self) -> None:
+        """A plant that began to listen after the first inputs had gone out would wait for them for ever."""
+        assert self._agent is not None
+        patience = max(_AGAIN, 2 * self._agent.settings.s * self._wall)
+        if self._started and time.monotonic() - self._begun > patience:
+            self.get_logger().warning("no outputs yet: the first inputs once more")
+            self._send_first()
 
     def _on_inputs(self, msg: Sample) -> None:
         """SHADOW only: what whoever is in control commands."""
@@ -264,6 +281,9 @@ class ControllerNode(ManagedNode):
         """Decides from outputs k, and publishes the decision."""
         assert self._agent is not None
         self._apply_changes()
+        if self._clock_jumped(msg):
+            self._enter(changes.CUT, None)
+            self._agent.cut()
         k = self._decided = int(msg.k)
         decision = self._agent.step(k, msg.values, int(msg.held))
         if decision.u is not None:
@@ -273,15 +293,31 @@ class ControllerNode(ManagedNode):
         self._publish_state(msg, decision)
         self._agent.prepare()
 
+    def _clock_jumped(self, msg: Sample) -> bool:
+        """Whether the sampling instants do not fit their numbers: then nobody knows how much time passed between."""
+        now, before = nanoseconds(msg.header.stamp), self._stamp
+        self._stamp = now
+        if self._info.lockstep or not (now and before):
+            return False
+        late = now - before - (int(msg.k) - self._decided) * self._period
+        jumped = now < before or late > (self.p["max_gap"] + 1) * self._period
+        if jumped:
+            self.jumps += 1
+            self.get_logger().warning(f"outputs {msg.k} are stamped {(now - before) / 1e9:.6g} s after {self._decided}")
+        return jumped
+
     def _look(self) -> None:
         """Once a period of real time: outputs that have stopped coming do not stop the controller.
 
         Counts its own calls, so that a process that was asleep itself does not blame the plant.
         """
-        if self._agent is None or self._k < 0 or self._waits:
+        if self._agent is None or self._waits:
+            return
+        if self._k < 0:
+            self._begin_again()
             return
         self._quiet += 1
-        if self._quiet < self.p["patience"] or self._overdue - self._k >= self.p["max_hold"]:
+        if not self.p["patience"] or self._quiet < self.p["patience"] or self._overdue - self._k >= self.p["max_hold"]:
             return
         k = self._k + int((time.monotonic() - self._arrived) / self._wall)
         if k <= max(self._k, self._overdue):
@@ -340,6 +376,7 @@ class ControllerNode(ManagedNode):
             "data_age": age,
             "failures": msg.failures,
             "lost": self._agent.lost,
+            "clock_jumps": self.jumps,
             "refused": self.refused,
             "deadline_misses": self.deadline_misses,
             "inputs_late": self._inputs.deadlines_missed,

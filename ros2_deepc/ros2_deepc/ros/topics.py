@@ -46,7 +46,7 @@ INPUTS = Topic("inputs", Sample, "controller -> plant, monitor, recorder")
 REFERENCE = Topic("reference", Sample, "operator -> controller", latched=True, depth=100)  # a whole schedule
 DISTURBANCES = Topic("disturbances", Sample, "plant -> controller")
 STATE = Topic("controller/state", ControllerState, "controller -> all")
-CHANGES = Topic("controller/changes", Change, "controller -> recorder", depth=1000)
+CHANGES = Topic("controller/changes", Change, "controller -> recorder", latched=True, depth=1000)
 CLAIM = Topic("claim", Claim, "controller -> plant, controller", latched=True, depth=1)
 REPORT = Topic("monitor/report", MonitorReport, "monitor -> all", latched=True)
 MONITOR_CHANGES = Topic("monitor/changes", Change, "monitor -> recorder", depth=1000)
