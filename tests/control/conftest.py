@@ -41,7 +41,7 @@ class Truth:
         """Outputs (L, p) from the slow state and inputs (L + s - 1, m)."""
         return (self.O @ z1 + self.T @ np.ravel(inputs)).reshape(self.L, -1)
 
-    def equilibrium(self, z1, committed, last, goal, settings, calm):
+    def equilibrium(self, z1, committed, last, goal, settings, calm, tiny):
         """The same for terminal "equilibrium": the plan's last sample is the steady state that it tracks."""
         L, (p, m), tail = self.L, self.form.D.shape, settings.tail
         known = m * (self.form.s - 1)
@@ -51,12 +51,16 @@ class Truth:
         off, away = G - end[0], g - end[1]
         Q, R, offset, rest = settings.Q, settings.R, settings.offset_weight, settings.terminal_weight
         pull = offset * Q * np.sum(G[-p:, -m:] ** 2) / m
+        form = self.form
+        gain = form.C1 @ np.linalg.solve(np.eye(len(form.A1)) - form.A1, form.B1) + form.markov().sum(axis=0)
+        acting = np.linalg.pinv(gain) @ gain
         squares = [
             (off, away, Q),
             (off[-p * tail :], away[-p * tail :], rest * Q),
             (G[-p:], g[-p:] - goal, offset * Q),
             (block - np.kron(np.ones((L, 1)), block[-m:]), np.zeros(m * L), R),
-            (block[-m:], -last, calm * pull),
+            (acting @ block[-m:], -acting @ last, calm * pull),
+            ((np.eye(m) - acting) @ block[-m:], np.zeros(m), tiny * R),
         ]
         H = sum(2 * weight * C.T @ C for C, _, weight in squares)
         f = sum(2 * weight * C.T @ d for C, d, weight in squares)

@@ -92,6 +92,21 @@ def test_a_late_command_acts_later_and_leaves_the_data_true(s, seed):
     assert controller.gap > 1e6
 
 
+def test_inputs_without_effect_go_to_zero_and_redundant_ones_approach_the_least():
+    plant = net3()
+    agent = agent_for(plant)
+    loop = run_loop(agent, plant.start(0), 150)
+    assert np.abs(loop.u[-1, [0, 2]]).max() < 1e-6  # both reservoirs
+    planted = random_system(m=3, p=1, q=3, radius=(0.3, 0.8), seed=5)
+    settings = DeepcSettings(N=4, L=10, q=3, Q=1.0, R=0.1, u_min=-5.0, u_max=5.0)
+    agent = Agent(3, 1, settings, 0)
+    agent.references.set(0, np.ones(1))
+    loop = run_loop(agent, LinearStepper(planted.system.weierstrass(), np.ones(3)), 400)
+    sizes = np.linalg.norm(loop.u[100::50], axis=1)
+    assert (np.diff(sizes) < -0.01).all()
+    assert np.abs(loop.y[100:] - 1).max() < 1e-5
+
+
 def agent_for(plant, **changes):
     limits = {"q": plant.prior.q, "u_min": plant.input_min, "u_max": plant.input_max}
     agent = Agent(

@@ -74,7 +74,7 @@ class Template:
     def __init__(self, sized: Sized, known: int, last_input: slice, terminal: Terminal) -> None:
         m, p, L = sized.m, sized.p, sized.base.L
         self.sized, self.known, self.terminal = sized, known, terminal
-        self._last_input = last_input
+        self.last_input = last_input
         self.last_input_negative = np.zeros((m, known))
         self.last_input_negative[:, last_input] = -np.eye(m)
         self.block = move_blocking(sized, terminal)
@@ -111,7 +111,7 @@ class Template:
         """A_w w, with moves counted from the last input brought into its box: from outside no plan would be left."""
         if self.slow:
             w = w.copy()
-            w[self._last_input] = np.minimum(np.maximum(w[self._last_input], self.sized.u_min), self.sized.u_max)
+            w[self.last_input] = np.minimum(np.maximum(w[self.last_input], self.sized.u_min), self.sized.u_max)
         return A_w @ w
 
     def _moves(self) -> tuple[Array, Array]:
@@ -343,8 +343,8 @@ def _equilibrium_squares(cost: _Cost, template: Template, outputs: Array, predic
     """Rest over the tail, and the distance of y_s from the reference.
 
     A reference that can be held is held exactly, since every term vanishes there. One that cannot be held ends at the
-    nearest steady state up to offset_weight / terminal_weight of its distance. Of all steady inputs that serve alike
-    the one nearest to the present input is taken, by a small price on the move to it, which vanishes at rest.
+    nearest steady state up to offset_weight / terminal_weight of its distance. Two small prices choose among steady
+    inputs that serve alike, and vanish at rest: on the move to them, and on their share that no output sees at rest.
     """
     sized, F = template.sized, predictor.F
     base, p, m = sized.base, sized.p, sized.m
@@ -355,9 +355,28 @@ def _equilibrium_squares(cost: _Cost, template: Template, outputs: Array, predic
     rest = _Square(off, off_w, np.zeros((len(off), p * base.L)), base.terminal_weight).times(root)
     conditions = predictor.order + m * (base.s - 1) if base.q else len(off)
     pull = base.offset_weight * float(np.sum(end.C[:, template.free - m : template.free] ** 2)) / m
-    move = template.inputs[-m:], template.last_input_negative
-    cost.add(*move, max(CALM * pull, TINY * template.input_size) * template.input_shape)
+    tiny = TINY * template.input_size
+    steady, known = template.inputs[-m:], template.last_input.stop
+    # Around an unknown operating point, 0 is an input like any other.
+    idle = _idle(predictor, root, m, known) if base.form == "absolute" else np.zeros((m, m))
+    acting = np.eye(m) - idle
+    cost.add(acting @ steady, acting @ template.last_input_negative, max(CALM * pull, tiny) * template.input_shape)
+    cost.add(idle @ steady, None, tiny * template.input_shape)
     return [rest.compressed(conditions), end]
+
+
+def _idle(predictor: Predictor, root: Array, m: int, known: int) -> Array:
+    """Projector onto the constant inputs that leave outputs at rest alone, shape (m, m).
+
+    Constant inputs u in the past and in the plan, with outputs 0 in the past, predict outputs 0 if and only if the
+    steady gain takes u to 0.
+    """
+    rows = len(predictor.F)
+    response = predictor.F[:, :known].reshape(rows, -1, m).sum(axis=1) + predictor.G.reshape(rows, -1, m).sum(axis=1)
+    seen = np.matmul(root, response.reshape(-1, root.shape[1], m)).reshape(-1, m)
+    _, sv, directions = np.linalg.svd(seen)
+    kept = directions[: int(np.count_nonzero(sv > THIN * sv[:1]))]
+    return np.eye(m) - kept.T @ kept
 
 
 def _from_end(M: Array, p: int) -> Array:
