@@ -142,6 +142,7 @@ def test_each_node_may_be_killed_and_started_again(zone):
     zone.until(zone.controlled)
 
     _controller(zone)
+    _frozen(zone)
     _monitor(zone)
     _recorder(zone)
     _plant(zone)
@@ -159,6 +160,22 @@ def _controller(zone):
     zone.start("controller")
     zone.until(lambda: zone.states and zone.states[-1].mode == Mode.COLLECTING)
     zone.until(zone.controlled)
+
+
+def _frozen(zone):
+    """A process that is stopped for a while and goes on: no new run, nothing false."""
+    zone.forget()
+    zone.children["controller"].send_signal(signal.SIGSTOP)
+    zone.until(lambda: zone.outputs and zone.outputs[-1].held == Sample.OWN_INPUT)
+    zone.children["controller"].send_signal(signal.SIGCONT)
+    zone.until(lambda: zone.outputs[-1].held == 0)
+    zone.until(zone.controlled)
+    zone.children["plant"].send_signal(signal.SIGSTOP)
+    zone.until(lambda: zone.states[-1].mode == Mode.HOLDING)
+    zone.children["plant"].send_signal(signal.SIGCONT)
+    zone.until(zone.controlled)
+    assert zone.went_on()
+    assert len({msg.epoch for msg in zone.outputs}) == 1
 
 
 def _monitor(zone):
