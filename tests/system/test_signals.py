@@ -76,15 +76,26 @@ def _ready(process):
     return caught >> (signal.SIGTERM - 1) & 1 == 1
 
 
-@pytest.mark.parametrize("processes", [[], ["--processes"]], ids=["one", "many"])
-def test_a_zone_in_real_time_ends_with_0_and_a_closed_bag(start, tmp_path, processes):
+MODES = {
+    "COLLECTING": {"T": 5000},
+    "CONTROLLING": {},
+    "FALLBACK": {"trip_max": [-1e6], "trip_min": [-1e7]},
+}
+
+
+@pytest.mark.parametrize(
+    ("mode", "processes"),
+    [("COLLECTING", []), ("CONTROLLING", ["--processes"]), ("FALLBACK", [])],
+)
+def test_a_zone_in_real_time_ends_with_0_its_configured_input_and_a_closed_bag(start, tmp_path, mode, processes):
     tree = yaml.safe_load(CONFIG.read_text())
-    tree["/**/plant"]["ros__parameters"] |= {"mode": "realtime", "speed": 5.0, "steps": 0}
+    tree["/**/plant"]["ros__parameters"] |= {"mode": "realtime", "speed": 10.0, "steps": 0}
+    tree["/**/controller"]["ros__parameters"] |= MODES[mode] | {"u_safe": [0.125]}
     for role in ("controller", "monitor", "recorder"):
         (tree["/**/" + role]["ros__parameters"] or {}).pop("use_sim_time", None)
     (tmp_path / "zone.yaml").write_text(yaml.safe_dump(tree))
     process, log = start(BIN / "ros2-deepc", "run", "zone.yaml", "--record", "bag", "--namespace", "/grid", *processes)
-    until(process, lambda: "COLLECTING" in said(log))
+    until(process, lambda: mode in said(log))
     until(process, lambda: (tmp_path / "bag" / "bag_0.mcap").stat().st_size > 5000)
     process.send_signal(signal.SIGTERM)
     process.wait(DEADLINE)
@@ -92,6 +103,8 @@ def test_a_zone_in_real_time_ends_with_0_and_a_closed_bag(start, tmp_path, proce
     bag = BagReader(tmp_path / "bag")
     assert bag.complete
     assert bag.topics["/grid/outputs"].count > 0
+    *_, (_, last) = bag.decoded(["/grid/inputs"])
+    assert list(last.values) == [0.125] * 3
 
 
 def test_a_bad_configuration_ends_with_1_and_one_line(start):

@@ -100,6 +100,8 @@ class ControllerNode(ManagedNode):
             if last is not None:
                 self._enter(changes.LEAVE, self.p["stop"])
                 self._send(*last)
+                if self._inputs is not None and not self._inputs.delivered():
+                    self.get_logger().warning("nobody may have taken the last input")
         self._holder.release()
 
     # The plant and who commands it

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from typing import Any
 
+from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 
@@ -50,6 +51,10 @@ class PatientPublisher:
             return
         self._held.append(msg)
         self._flush()
+
+    def delivered(self, seconds: float = 1.0) -> bool:
+        """Waits until every reader has what was published, at most so long; for a last message before the end."""
+        return bool(self._publisher.wait_for_all_acked(Duration(seconds=seconds)))
 
     def destroy(self) -> None:
         """Takes the publisher off the graph."""
