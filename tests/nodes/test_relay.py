@@ -273,3 +273,13 @@ def lost(run, outputs):
     told = set(range(s - 1)) | {k + s - 1 for k in accepted if ages[k + s - 1] != Sample.OWN_INPUT}
     unknown = sum(not told.issuperset(range(k, k + s)) for k in accepted)
     return accepted[-1] + 1 - len(accepted) + unknown
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_first_inputs_that_nobody_heard_are_sent_again(zone, plant):
+    """A plant that listens a moment too late would wait for ever, and the controller for it."""
+    inputs = Link(Schedule(0, 1.0, kinds=("drop",), begin=0, end=2))
+    run = zone(plant, {topics.OUTPUTS: Link(Schedule(0, 0.0)), topics.INPUTS: inputs}, lockstep=False)
+    run.until(run.recovered)
+    assert inputs.faults["drop"] == 2
+    assert_window_is_true(run)
