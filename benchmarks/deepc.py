@@ -95,6 +95,7 @@ class Ours:
         for a, b in zip(u, y, strict=True):
             self.controller.observe(a, b)
         self.controller.step(np.zeros(y.shape[1]))
+        self.controller.prepare()
 
     def step(self, u, y, goal):
         """First input after the newest sample; None if the step failed."""
