@@ -17,12 +17,12 @@ from ros2_deepc.bags.outline import Block, outliner
 from ros2_deepc.bags.schema import message_definition
 
 
-def block_of(kind, datas):
+def block_of(kind, encoded):
     """A block of messages that lie in one buffer with rubbish between them."""
-    sizes = np.array([len(d) for d in datas])
+    sizes = np.array([len(d) for d in encoded])
     start = np.cumsum([3, *(sizes[:-1] + 5)])
-    buffer = b"...".join([b"", *(d + b"--" for d in datas)])
-    zero = np.zeros(len(datas))
+    buffer = b"...".join([b"", *(d + b"--" for d in encoded)])
+    zero = np.zeros(len(encoded))
     name = type_name(kind)
     messages = Messages(buffer, start, sizes, zero.astype("u2"), zero.astype("u8"), zero.astype("u8"))
     return Block(messages, outliner(name, message_definition(name)))
@@ -68,10 +68,10 @@ def random_message(rng, kind):
 @pytest.mark.parametrize("seed", range(3))
 def test_columns_are_the_messages(kind, seed):
     rng = np.random.Generator(np.random.PCG64(seed))
-    datas = [to_cdr(random_message(rng, kind)) for _ in range(150)]
-    block = block_of(kind, datas)
+    encoded = [to_cdr(random_message(rng, kind)) for _ in range(150)]
+    block = block_of(kind, encoded)
     decode = decoder(type_name(kind), message_definition(type_name(kind)))
-    expected = [numbers(decode(data)) for data in datas]
+    expected = [numbers(decode(data)) for data in encoded]
     assert block.bad == []
     for path in {path for message in expected for path in message}:
         values = [message.get(path) for message in expected]
@@ -94,27 +94,27 @@ def test_damage_is_found_in_the_same_messages(kind):
     """Cut short, or with a byte changed: both ways of decoding refuse the same ones, or give the same numbers."""
     rng = np.random.Generator(np.random.PCG64(5))
     decode = decoder(type_name(kind), message_definition(type_name(kind)))
-    datas = []
+    encoded = []
     for _ in range(400):
         data = bytearray(to_cdr(random_message(rng, kind)))
         if rng.integers(2):
             data = data[: rng.integers(4, len(data))]
         else:
             data[rng.integers(4, len(data))] = rng.integers(256)
-        datas.append(bytes(data))
-    block = block_of(kind, datas)
+        encoded.append(bytes(data))
+    block = block_of(kind, encoded)
     refused = []
-    for row, data in enumerate(datas):
+    for row, data in enumerate(encoded):
         try:
             decode(data)
         except BagError:
             refused.append(row)
     assert sorted(row for row, _ in block.bad) == refused
-    assert 0 < len(refused) < len(datas)
+    assert 0 < len(refused) < len(encoded)
     k = block.column("k", np.uint64, 7) if kind is not DiagnosticArray else None
     if k is not None:
-        assert [int(k[row]) for row in range(len(datas)) if row not in refused] == [
-            decode(data).k for row, data in enumerate(datas) if row not in refused
+        assert [int(k[row]) for row in range(len(encoded)) if row not in refused] == [
+            decode(data).k for row, data in enumerate(encoded) if row not in refused
         ]
 
 
