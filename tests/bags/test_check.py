@@ -193,3 +193,10 @@ def test_no_bag(tmp_path):
     (tmp_path / "text.mcap").write_text("hello")
     reader = BagReader(tmp_path / "text.mcap")
     assert reader.losses == ["text.mcap: 5 bytes lost at byte 0: not an MCAP file"]
+
+
+def test_the_folder_of_a_run_stands_for_its_bag(whole, tmp_path):
+    shutil.copytree(whole[0], tmp_path / "run" / "bag")
+    assert len(load_run(tmp_path / "run").k) == len(load_run(whole[0]).k)
+    found = check(tmp_path / "run")
+    assert (found.messages, found.findings) == (len(whole[1]), check(whole[0]).findings)

@@ -84,7 +84,8 @@ def check(path: str | os.PathLike[str], *, progress: Progress = no_progress) -> 
     counts: dict[str, int] = {}
     watches: dict[str, Watch] = {}
     clock = LogWatch()
-    total = BagReader(folder).message_count
+    reader = BagReader(folder)
+    total, folder = reader.message_count, reader.files[0].parent if folder.is_dir() else folder
     for file, item in _walk(folder):
         if isinstance(item, Damage):
             found.lost_bytes += item.size

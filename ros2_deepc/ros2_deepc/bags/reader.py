@@ -172,6 +172,9 @@ class BagReader:
 def bag_files(path: Path) -> list[Path]:
     """The MCAP files of a bag in order: as metadata.yaml lists them, else sorted by their number.
 
+    Args:
+        path: a file, the folder of a bag, or the folder of a run with its `bag`.
+
     Raises:
         BagError: if there are none.
     """
@@ -190,6 +193,8 @@ def bag_files(path: Path) -> list[Path]:
         raise BagError(f"cannot read {path / METADATA}: {why(error)}; remove it to read the files alone") from error
     if mode in ("file", "message"):
         raise BagError(f"bag {path} is compressed by {mode}: convert it first (ros2 bag convert)")
+    if not files and (path / "bag").is_dir():
+        return bag_files(path / "bag")
     missing = [f.name for f in files if not f.is_file()]
     if missing or not files:
         raise BagError(f"bag {path} has no file {missing[0] if missing else '*.mcap'}")

@@ -211,6 +211,12 @@ def _nothing_to_control(data: Compression, seen: int, q: int, eps: float, names:
     return Finding(verdict=verdict, reason=reason, theorem=names.control, rank=base, required=base + q, noise_bound=eps)
 
 
+def _text(number: complex) -> str:
+    """Real where only rounding says otherwise."""
+    real = abs(number.imag) <= 1e-9 * max(1.0, abs(number))
+    return f"{number.real:.6g}" if real else f"{number:.6g}"
+
+
 def _controllability(data: Compression, pencil: Pencil, low: Minimum, q: int, eps: float, names: Names) -> Finding:
     """Theorem 1* or 2* on the visible directions."""
     base = data.m * (data.d - 1)
@@ -218,7 +224,7 @@ def _controllability(data: Compression, pencil: Pencil, low: Minimum, q: int, ep
         proof = certify(pencil, eps, low.modes)
         if proof.counterexample is not None:
             low = low.moved(pencil, proof.counterexample)
-    at = f"lambda = {low.lambda_:.6g}"
+    at = f"lambda = {_text(low.lambda_)}"
     clear = pencil.q == q or data.sigma[pencil.q - 1] > CLEAR * eps
     if low.kappa <= eps and clear:
         verdict = Verdict.NOT_PROVED
