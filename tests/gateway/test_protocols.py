@@ -325,3 +325,58 @@ inputs:
     np.testing.assert_array_equal(third, [*np.arange(300.0) + 2, 2])
     assert (n2 - n1, n3 - n2) == (1, n1)
     assert not make_link(loads(text)).atomic
+
+
+def test_a_field_that_scans_while_it_is_read_is_read_again(free_port, soon):
+    """300 numbers take five requests; the field's scans come between the third and the fourth of two of three reads."""
+    pytest.importorskip("pymodbus")
+    from ros2_deepc.gateway import Gateway
+    from ros2_deepc.gateway.engine import Engine
+    from ros2_deepc.gateway.modbus_codec import encode
+    from ros2_deepc.gateway.modbus_server import ModbusServer, Registers
+
+    class Moving(Registers):
+        asked = scans = 0
+
+        async def async_getValues(self, device_id, func_code, address, count=1):
+            self.asked += 1
+            if self.asked % 15 in (4, 9):
+                self.scan()
+            return await super().async_getValues(device_id, func_code, address, count)
+
+        def scan(self):
+            self.scans += 1
+            self.tables["input"][:600] = encode(np.full(300, float(self.scans)), "float32")
+            self.tables["input"][600] = self.scans
+
+    port, vectors = free_port(), []
+    text = f"""\
+plant: {{name: big, sample_time: 0.1}}
+link: {{kind: modbus, host: 127.0.0.1, port: {port}, timeout: 5}}
+sampling: {{by: scan, poll: 0.001, counter: {{table: input, address: 600, type: uint16}}}}
+outputs:
+  - {{name: y, unit: '', count: 300, at: {{table: input, address: 0}}}}
+inputs:
+  - {{name: u, unit: '', limits: [-1, 1], max_rate: 9, safe: 0, at: {{address: 0}}}}
+"""
+
+    async def play():
+        registers = Moving(holding=10, inputs=601)
+        registers.scan()
+        server = ModbusServer(registers, "127.0.0.1", port)
+        await server.start()
+        gateway = Gateway(loads(text), 0.0)
+
+        def take(outputs):
+            if gateway._vector.good:
+                vectors.append(outputs.vector.values)
+
+        engine = Engine(gateway, make_link(gateway.tags), on_outputs=take)
+        running = asyncio.create_task(engine.run())
+        await soon(lambda: len(vectors) > 10)
+        engine.stop()
+        await running
+        await server.stop()
+
+    asyncio.run(play())
+    assert all((values == values[0]).all() for values in vectors)

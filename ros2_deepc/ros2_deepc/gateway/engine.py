@@ -6,10 +6,11 @@
 import asyncio
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from .assemble import Scan
+from .assemble import Quality, Scan
 from .core import Gateway, Outputs
 from .errors import LinkError
 from .guard import Command, Refusal
@@ -142,6 +143,8 @@ class Engine:
             if again.raw[self._scan_at] == scan.raw[self._scan_at]:
                 break
             scan = again
+        else:  # the field is faster than we read: these numbers need not belong together
+            scan = replace(scan, quality=np.maximum(scan.quality, Quality.UNCERTAIN).astype(np.uint8))
         self._count = scan.raw[self._scan_at]
         return scan
 
