@@ -138,7 +138,7 @@ def references(solves):
 
 
 FIRST_STEP = """
-import resource, time
+import time
 
 import numpy as np
 from ros2_deepc.control import DeepcController, DeepcSettings
@@ -149,7 +149,7 @@ for k in range(104):
     c.observe(u, x)
     x = 0.8 * x + u[:2]
 c.step([1.0, 0.0])
-print(time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+print(time.process_time(), *(int(line.split()[1]) / 1024 for line in open("/proc/self/status") if "VmHWM" in line))
 """
 
 

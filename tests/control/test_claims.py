@@ -131,6 +131,25 @@ def test_foreign_data_cannot_describe_an_uncontrollable_plant(plant_form, loop):
     assert errors[1] > 1e-3
 
 
+FIRST_STEP = """
+import numpy as np
+from ros2_deepc.control import DeepcController, DeepcSettings
+c = DeepcController(3, 2, DeepcSettings(N=6, L=14, T=1600, q=6, u_min=-1.0, u_max=1.0, data_policy="sliding"))
+rng, x = np.random.default_rng(0), np.zeros(2)
+for k in range(1600):
+    u = rng.uniform(-1, 1, 3)
+    c.observe(u, x)
+    x = 0.8 * x + u[:2]
+assert c.step([1.0, 0.0]).status.solved
+print(*(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
+"""
+
+
+def test_import_and_first_step_take_little_memory():
+    done = subprocess.run([sys.executable, "-c", FIRST_STEP], capture_output=True, text=True, check=True)
+    assert float(done.stdout) < 80 * 1024  # kB; the peak that getrusage tells would include the parent's
+
+
 def test_the_core_needs_no_ros():
     code = "import sys, ros2_deepc.control; print({'rclpy', 'cvxpy', 'matplotlib', 'deepc_msgs'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
