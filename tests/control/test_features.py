@@ -324,6 +324,34 @@ def test_the_second_solver_answers_where_the_first_gives_up(plant_form, loop):
     assert max(np.abs(a.u - b.u).max() for a, b in zip(*results.values(), strict=True)) < 1e-3
 
 
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"mask": 0.0},
+        {"mask": 0.0, "terminal": "soft"},
+        {"Q": [5.0, 0.0]},
+        {"Q": 0.0},
+        {"R": [1.0, 0.0, 1.0]},
+        {"R": 0.0},
+        {"Q": 0.0, "R": 0.0, "terminal": "none"},
+        {"offset_weight": 0.0},
+        {"terminal_weight": 0.0},
+        {"terminal_weight": 1e12},
+        {"Q": 1e6, "R": 1e-3},
+        {"Q": 1e-6, "R": 1e3},
+    ],
+)
+def test_weights_at_their_limits_leave_a_program_that_both_solvers_solve(how, plant_form, loop):
+    runs = [loop(plant_form(1), DeepcSettings(**{**BASE, **how}, solver=solver), 1).collect() for solver in SOLVERS]
+    for _ in range(5):
+        results = [run.controller.step([0.5, 0.2]) for run in runs]
+        assert all(result.status is Status.SOLVED for result in results), results[0].reason
+        assert abs(results[0].cost - results[1].cost) <= 1e-5 * max(1.0, results[1].cost)
+        for run in runs:
+            run.apply(results[1].u)
+            run.sense()
+
+
 def test_bad_samples_are_refused_and_change_nothing(plant_form, loop):
     run = loop(plant_form(13), DeepcSettings(**BASE, solver="daqp"), 13).collect()
     before = run.step([1.0, 0.0])

@@ -261,7 +261,7 @@ class CheckedSolver:
 
     def load(self, program: Condensed) -> None:
         """Takes a new program; the second solver gets it when it is needed."""
-        self._program, self._steepest = program, float(program.H.diagonal().max())
+        self._program, self._steepest = program, max(float(program.H.diagonal().max()), EPS[0])
         self.solvers[0].load(program.H, program.A, program.lower, program.upper)
         self._loaded = [True, False]
 
