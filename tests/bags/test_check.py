@@ -182,6 +182,16 @@ def test_wrong_counts_missing_topics_and_undecodable_messages(make, tmp_path):
     assert "note: /grid/inputs: no messages" in text
 
 
+def test_the_folder_of_a_run_stands_for_its_bag(whole, tmp_path):
+    data = (whole[0] / "bag_0.mcap").read_bytes()
+    (tmp_path / "run").mkdir()
+    cut_copy(whole, tmp_path / "run" / "bag", data[: len(data) // 2])
+    for path in (tmp_path / "run", tmp_path / "run" / "bag"):
+        assert not BagReader(path).complete
+        assert "the recording was not closed" in texts(check(path))
+    assert list(BagReader(tmp_path / "run").messages()) == list(BagReader(tmp_path / "run" / "bag").messages())
+
+
 def test_no_bag(tmp_path):
     for broken in (
         lambda: check(tmp_path / "none"),

@@ -3,6 +3,9 @@
 
 """What the bag holds is what went over the topics: every message of every topic, read by code that others wrote."""
 
+import json
+import shutil
+import subprocess
 from collections import defaultdict
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -33,6 +36,7 @@ SPOKEN = (
     topics.REPORT,
     topics.INDICATOR,
 )
+JAVASCRIPT = Path(__file__).parents[1] / "bags" / "js"
 SAID = "grüße from the listener"
 ROLES = ("recorder", "monitor", "controller", "operator", "plant")
 
@@ -77,8 +81,8 @@ def same(a, b):
     return a == b or (a != a and b != b)
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory, domain_id, parameters_of):
+@pytest.fixture(scope="module", params=["wscc9", "net3"])
+def recorded(tmp_path_factory, domain_id, parameters_of, request):
     """A run, the bag's folder and what a listener heard."""
     out = tmp_path_factory.mktemp("recorded")
     changes = {
@@ -88,7 +92,7 @@ def recorded(tmp_path_factory, domain_id, parameters_of):
         "operator": {"readers": 3},
         "recorder": {"folder": str(out / "bag"), "figure": True, "attach": [str(out / "parameters.yaml")]},
     }
-    (out / "parameters.yaml").write_text(text_of(merged(parameters_of("wscc9"), changes)))
+    (out / "parameters.yaml").write_text(text_of(merged(parameters_of(request.param), changes)))
     with running(ROLES, out / "parameters.yaml", namespace=ZONE, domain_id=domain_id) as stack:
         listener = Listener(context=stack.observer.context, namespace=ZONE, use_global_arguments=False)
         stack.executor.add_node(listener)
@@ -144,6 +148,26 @@ def test_rosbags_reads_every_message(recorded):
         for connection, _, data in reader.messages():
             found[connection.topic].append(plain(reader.deserialize(data, connection.msgtype)))
     check(heard, found)
+
+
+@pytest.mark.skipif(
+    shutil.which("node") is None or not (JAVASCRIPT / "node_modules").is_dir(),
+    reason="no node, or no npm install in tests/bags/js",
+)
+def test_foxglove_libraries_read_every_message(recorded):
+    out, heard = recorded
+    command = ["node", "read.mjs", str(out / "bag" / "bag_0.mcap")]
+    lines = subprocess.run(command, cwd=JAVASCRIPT, check=True, capture_output=True, text=True).stdout.splitlines()
+    found = defaultdict(list)
+    for topic, _, fields in map(json.loads, lines):
+        found[topic].append(fields)
+    for topic in (name for name in heard if name != "/clock"):
+        expected = [plain(msg) for msg in heard[topic]]
+        assert len(found[topic]) == len(expected), topic
+        assert all(set(a) == set(b) for a, b in zip(found[topic], expected, strict=True)), topic
+    for topic in ("outputs", "inputs", "reference"):
+        pairs = zip(found[f"{ZONE}/{topic}"], heard[f"{ZONE}/{topic}"], strict=True)
+        assert all((int(a["k"]), a["values"]) == (b.k, list(b.values)) for a, b in pairs)
 
 
 def test_the_monitor_logs_its_reports(recorded):

@@ -48,7 +48,7 @@ class BagReader:
         self.topics: dict[str, TopicInfo] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.start, self.end, self._timed = 0, 0, False
-        self.complete = not (self.path.is_dir() and (self.path / MARKER).exists())
+        self.complete = not (self.path.is_dir() and (self.files[0].parent / MARKER).exists())
         self.losses: list[str] = []
         self._indexed: dict[Path, bool] = {}
         for file in self.files:
