@@ -62,7 +62,7 @@ class Truth:
         u = dict(self.u)
         first = self.y[0][0] + 1  # u of the first output is not among those seen
         samples = [(k, y) for k, y in self.y if k >= first]
-        if not state.output_plan or len(samples) < PAST - 1:
+        if not state.output_plan or len(samples) < PAST - 1 or samples[-1][0] != state.k:
             return None
         seen, forced, x = [], [], np.zeros(len(self.A))
         power = np.eye(len(self.A))
