@@ -63,6 +63,7 @@ class ControllerNode(ManagedNode):
     def configure(self) -> None:
         """Makes the topics and services that do not depend on the plant."""
         self._agent: Agent | None = None
+        self._unfinished: tuple[Sample, Decision] | None = None
         self._waits = False  # for another controller to go
         self._inputs: PatientPublisher | None = None
         self._state: PatientPublisher | None = None
@@ -95,6 +96,7 @@ class ControllerNode(ManagedNode):
 
     def deactivate(self) -> None:
         """Leaves a last input behind in real time, and gives the plant up."""
+        self._finish()
         if self._agent is not None and not self._info.lockstep and not self._waits and not self._other():
             last = self._agent.leave(self.p["stop"])
             if last is not None:
@@ -108,6 +110,7 @@ class ControllerNode(ManagedNode):
 
     def _on_plant(self, info: PlantInfo) -> None:
         """A plant or a new epoch of it: a fresh run. Its first inputs go out once a reference is known."""
+        self._finish()
         agent = make_agent(self.p, info)
         self._agent, self._info, self._started = agent, info, False
         self._k = self._decided = -1  # newest outputs accepted, and answered
@@ -282,6 +285,7 @@ class ControllerNode(ManagedNode):
     def _answer(self, msg: Sample) -> None:
         """Decides from outputs k, and publishes the decision."""
         assert self._agent is not None
+        self._finish()
         self._apply_changes()
         if self._clock_jumped(msg):
             self._enter(changes.CUT, None)
@@ -292,7 +296,18 @@ class ControllerNode(ManagedNode):
             self._send(k + self._agent.settings.s, decision.u)
         limited = decision.result is not None and decision.result.limited
         self.deadline_misses += self._health.sample(self._gap, time.monotonic() - self._arrived, limited)
-        self._publish_state(msg, decision)
+        self._unfinished = (msg, decision)
+        if self._info.lockstep or self.executor is None:
+            self._finish()
+        else:  # a plant in the same process takes its inputs first
+            self.executor.create_task(self.guarded(lambda _: self._finish()), None)
+
+    def _finish(self) -> None:
+        """What follows a command: the state, and the preparation of the next step. Comes before anything else does."""
+        if self._unfinished is None or self._agent is None:
+            return
+        (outputs, decision), self._unfinished = self._unfinished, None
+        self._publish_state(outputs, decision)
         self._agent.prepare()
 
     def _clock_jumped(self, msg: Sample) -> bool:
@@ -324,6 +339,7 @@ class ControllerNode(ManagedNode):
         k = self._k + int((time.monotonic() - self._arrived) / self._wall)
         if k <= max(self._k, self._overdue):
             return
+        self._finish()
         self._overdue = k
         self.deadline_misses += 1
         self._health.overdue()
@@ -398,6 +414,7 @@ class ControllerNode(ManagedNode):
         """Asks the agent for a mode; returns why not, or nothing."""
         if self._agent is None:
             return "there is no plant yet"
+        self._finish()
         other = self._other()
         if other and wanted != Mode.SHADOW:
             return f"{other} commands {self._info.name}: stop it first"
