@@ -102,6 +102,7 @@ def test_disturbances_and_modes_are_used_and_replay_to_the_bit(domain_id, tmp_pa
             each.destroy_node()
     assert Mode(plant.states[-1].mode) is Mode.CONTROLLING
     assert node._agent.lost == node.refused == 0
+    assert not any(state.overdue or state.deadline_misses for state in plant.states)  # lockstep knows no lateness
     assert np.abs(np.array(plant.y[-10:]) - 0.5).max() < 0.02  # though the disturbance moves it by 0.2 a sample
     assert list(plant.states[70].mask) == [1.0, 1.0]
     assert list(plant.states[-1].mask) == [1.0, 0.0]
