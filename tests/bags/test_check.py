@@ -182,7 +182,17 @@ def test_wrong_counts_missing_topics_and_undecodable_messages(make, tmp_path):
     assert "note: /grid/inputs: no messages" in text
 
 
-def test_the_folder_of_a_run_stands_for_its_bag(whole, tmp_path):
+def test_messages_that_the_recorder_lost_are_an_error(make, tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_topic("/grid/outputs", "deepc_msgs/msg/Sample")
+        bag.write("/grid/outputs", to_cdr(make.sample(0, [1.0])), 10)
+        bag.add_metadata("recorder", {"messages": "1", "lost": "7"})
+    result = check(tmp_path / "bag")
+    assert not result.ok
+    assert "the recorder lost 7 messages" in texts(result)
+
+
+def test_the_folder_of_a_killed_run_stands_for_its_bag(whole, tmp_path):
     data = (whole[0] / "bag_0.mcap").read_bytes()
     (tmp_path / "run").mkdir()
     cut_copy(whole, tmp_path / "run" / "bag", data[: len(data) // 2])

@@ -180,6 +180,37 @@ def test_the_order_of_the_first_messages_does_not_matter(make, loop, tmp_path):
     assert result.same, (result.unmatched, result.differences)
 
 
+def test_index_2_with_a_held_input(make, tmp_path):
+    """Outputs k depend on inputs k+1 and say how old those are; what acted is what is hashed and recomputed."""
+    info = make.plant_info(1, 2)
+    info.q, info.s, info.n = 1, 2, 2
+    parameters = {"controller": {"N": 4, "L": 6, "Q": [4.0], "R": [0.5], "terminal": "none", "seed": 3}}
+    agent = make_agent(parameters["controller"], info)
+    agent.references.set(0, [0.2, 0.3])
+    messages = [("plant_info", info), ("reference", make.sample(0, [0.2, 0.3]))]
+    commands = agent.start()
+    messages += [("inputs", make.sample(k, u)) for k, u in enumerate(commands)]
+    acted, x = [commands[0]], 0.5
+    for k in range(100):
+        held = int(k == 60)  # inputs 61 came too late: those of 60 act once more
+        acted.append(commands[k + 1 - held])
+        y = np.array([x, 0.5 * acted[k + 1][0] + acted[k][0]])
+        x = 0.8 * x + acted[k][0]
+        messages.append(("outputs", make.sample(k, y, held=held)))
+        decision = agent.step(k, y, held)
+        state = state_message(agent, decision)
+        agent.prepare()
+        commands.append(decision.u)
+        messages += [("inputs", make.sample(k + 2, decision.u)), ("controller/state", state)]
+    bag = write(make, tmp_path / "bag", messages)
+    run = load_run(bag)
+    np.testing.assert_array_equal(run.u, acted[:100])
+    assert run.u[61] == commands[60] != commands[61]
+    result = recompute(bag, "controller", parameters)
+    assert result.same, (result.differences, result.unmatched)
+    assert result.loop_hash == run.loop_hash
+
+
 def test_outputs_that_the_recorder_lost_are_noticed_there(make, loop, tmp_path):
     messages = [m for m in loop if not (m[0] == "outputs" and m[1].k == 60)]
     result = recompute(write(make, tmp_path / "bag", messages), "controller")

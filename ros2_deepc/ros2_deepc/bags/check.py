@@ -77,15 +77,15 @@ def check(path: str | os.PathLike[str], *, progress: Progress = no_progress) -> 
     Raises:
         BagError: if there is no bag.
     """
-    folder = Path(path)
-    found = Check()
+    reader, found = BagReader(path), Check()
+    folder = reader.files[0].parent if reader.path.is_dir() else reader.path
     if folder.is_dir() and (folder / MARKER).exists():
         found.add("error", folder.name, "the recording was not closed")
+    if int(lost := reader.metadata.get("recorder", {}).get("lost", "0")):
+        found.add("error", folder.name, f"the recorder lost {lost} messages: its disk was too slow")
     counts: dict[str, int] = {}
     watches: dict[str, Watch] = {}
     clock = LogWatch()
-    reader = BagReader(folder)
-    total, folder = reader.message_count, reader.files[0].parent if folder.is_dir() else folder
     for file, item in _walk(folder):
         if isinstance(item, Damage):
             found.lost_bytes += item.size
@@ -99,7 +99,7 @@ def check(path: str | os.PathLike[str], *, progress: Progress = no_progress) -> 
                 if topic.readable:
                     watches.setdefault(topic.name, watch_of(topic)).look(Block(mine, topic.outliner()))
             found.messages += len(batch)
-            progress(found.messages, total)
+            progress(found.messages, reader.message_count)
     for name, watch in {"log time": clock, **watches}.items():
         watch.report(name, found.add)
     _compare_index(folder, counts, found)
