@@ -7,7 +7,7 @@ import pytest
 
 from plant_sim import random_system
 from ros2_deepc.behavior import hankel
-from ros2_deepc.monitors import Noise, Prior, Verdict, analyze
+from ros2_deepc.monitors import Noise, Prior, Verdict, analyze, analyze_records
 from ros2_deepc.monitors.compress import compress, toeplitz_norm
 from ros2_deepc.monitors.noise import estimate_levels, gaussian_norm, marchenko_pastur_median
 from ros2_deepc.monitors.source import from_records
@@ -49,6 +49,16 @@ def test_narrow_band_instruments_let_more_noise_through(rng):
 
 def test_toeplitz_norm_of_all_directions_is_their_number():
     assert toeplitz_norm([np.eye(30)], 7) == pytest.approx(30)
+
+
+def test_a_record_too_short_for_a_column_changes_nothing(rng):
+    plant = random_system(m=2, p=2, q=3, blocks=(1,), seed=3)
+    u = rng.uniform(-1, 1, (200, 2))
+    y = plant.system.simulate(u, np.ones(3)).y + 1e-3 * rng.standard_normal((200, 2))
+    alone = analyze_records([(u[:190], y[:190])], prior=Prior(q=3), L=3, noise=1e-3).r_controllability
+    beside = analyze_records([(u[:190], y[:190]), (u[191:193], y[191:193])], prior=Prior(q=3), L=3, noise=1e-3)
+    assert beside.r_controllability.verdict == alone.verdict == Verdict.PROVED
+    assert beside.r_controllability.margin == pytest.approx(alone.margin, abs=0.1)
 
 
 def test_hard_bound_is_attained_by_constant_noise():

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from .compress import Array, Compression
@@ -28,7 +27,7 @@ FAR = 3
 """How many times more inputs before the window are tried as instruments when few do not settle it: slow modes."""
 
 REACH = -6.0
-"""Margin [dB] from which that may help."""
+"""Margin [dB] from which that may help, or all columns of the window without instruments."""
 
 
 class Tried(NamedTuple):
@@ -169,13 +168,24 @@ def _at(source: Source, prior: Prior, L: int, noise: Noise) -> Tried:
     except ValueError as error:
         return Tried(nothing(str(error)), data, None)
     names = replace(SLOW, bound=noise.wording)
-    outcome = decide(data, q, noise.hankel_bound(data, level), names)
     past = -(-q // source.m) + 1
-    for longer, reach in ((past, -np.inf), (FAR * past, REACH)):
-        fits = source.columns(L, d, longer) > source.m * (d + longer)
-        if noise.averages and outcome.open and fits and not outcome.controllability.margin < reach:
-            kept = source.window(L, d, longer)
-            outcome = merge(outcome, decide(kept, q, noise.hankel_bound(kept, level), names))
+
+    def look(before: int = 0, *, search: bool = True) -> Outcome:
+        window = source.window(L, d, before) if before else data
+        return decide(window, q, noise.hankel_bound(window, level), names, search=search)
+
+    def fits(before: int) -> bool:
+        return noise.averages and source.columns(L, d, before) > source.m * (d + before)
+
+    if not fits(past):
+        return Tried(look(), data, level)
+    outcome = merge(look(search=False), look(past))
+    near = outcome.controllability.margin >= REACH
+    hidden = outcome.controllability.verdict is Verdict.UNDECIDED and outcome.seen >= q  # instruments hide directions
+    if outcome.open and (near or hidden):
+        outcome = merge(outcome, look())
+    if outcome.open and near and fits(FAR * past):
+        outcome = merge(outcome, look(FAR * past))
     return Tried(outcome, data, level)
 
 

@@ -137,7 +137,7 @@ def toeplitz_norm(pieces: Sequence[Array], rows: int) -> float:
         rows: order of the Toeplitz matrix.
     """
     sums = np.zeros(rows)
-    for V in pieces:
+    for V in filter(len, pieces):  # a record may be too short for a column
         spectrum = np.sum(abs(np.fft.rfft(V, 2 * len(V), axis=0)) ** 2, axis=1)
         part = np.fft.irfft(spectrum)[: min(rows, len(V))]
         sums[: part.size] += part

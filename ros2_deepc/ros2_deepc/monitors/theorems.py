@@ -90,7 +90,7 @@ def merge(a: Outcome, b: Outcome) -> Outcome:
     """The best of two looks at the same window; what contradicts the prior in the first stays."""
     if Verdict.PRIOR_VIOLATED in (a.controllability.verdict, a.observability.verdict):
         return a
-    first = b if better(b, a) else a
+    first = a if better(a, b) else b
     observe = max(a.observability, b.observability, key=_worth)
     return replace(first, observability=observe, seen=max(a.seen, b.seen), eps=a.eps, excited=a.excited)
 
@@ -135,7 +135,7 @@ def hidden(data: Compression, q: int) -> float:
     return max(10.0, float(whole / np.sqrt(2 * gammaincinv(r * c / 2, HIDDEN) / min(r, c))))
 
 
-def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW) -> Outcome:
+def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW, *, search: bool = True) -> Outcome:
     """Runs both tests of a family on one window.
 
     Args:
@@ -143,6 +143,8 @@ def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW) -> 
         q: dimension to be shown (q, or n for the C-properties).
         eps_noise: bound of the Hankel matrix of the noise on Y, scaled units; the rounding floor is added.
         names: family of theorems.
+        search: whether to look for the weakest lambda, the dear part; without it controllability stays open unless the
+            prior is contradicted.
     """
     eps = threshold(data, q, eps_noise)
     if data.inverse is None:
@@ -153,6 +155,8 @@ def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW) -> 
     observe = _observability(data, seen, q, eps, names)
     if seen == 0 or q == 0:
         return Outcome(_nothing_to_control(data, seen, q, eps, names), observe, (), seen, eps, True)
+    if seen <= q and not search:
+        return replace(nothing("", data.m * (data.d - 1) + q, eps), observability=observe, seen=seen, excited=True)
     pencil = reduce(data, min(seen, q))
     low = minimum(pencil)
     eps += pencil.floor
