@@ -37,7 +37,8 @@ class Prior:
 
     Attributes:
         q: dimension of the slow part. An upper bound is safe: the verdict then stays UNDECIDED, never wrongly PROVED.
-        s: index of nilpotency, at least 1. An upper bound is safe.
+            Too small by one is always noticed in exact data, but not always under noise (docs/theory.md).
+        s: index of nilpotency, at least 1. An upper bound is safe; too small by one as for q.
         n: state dimension, q plus that of the fast part; 0 = unknown. Only the C-properties need it.
         D: feed-through, shape (p, m); None = unknown. Only the C-properties need it.
 

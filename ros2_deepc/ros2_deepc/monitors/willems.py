@@ -29,7 +29,8 @@ class Lengths(NamedTuple):
     """Fewest inputs T, outputs then being known for T - s + 1 samples.
 
     Attributes:
-        rank: for the rank condition to be possible; generic inputs reach it.
+        rank: for the rank condition to be possible; generic inputs reach it. `analyze` asks for a sample more, since data
+            that fill all their columns cannot contradict the prior.
         excitation: for persistency of excitation of the order that guarantees it.
     """
 
