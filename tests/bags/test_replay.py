@@ -211,6 +211,29 @@ def test_index_2_with_a_held_input(make, tmp_path):
     assert result.loop_hash == run.loop_hash
 
 
+def test_a_controller_in_shadow_gives_the_same_states_beside_the_inputs_of_another(make, tmp_path):
+    info = make.plant_info()
+    parameters = {"controller": PARAMETERS["controller"] | {"shadow": True}}
+    agent = make_agent(parameters["controller"], info)
+    agent.references.set(0, [0.5, 0.4])
+    A, B = np.array([[0.9, 0.1], [0.0, 0.8]]), np.array([[0.3, 0.0], [0.1, 0.5]])
+    rng, x = np.random.Generator(np.random.PCG64(1)), np.array([1.0, -1.0])
+    messages = [("plant_info", info), ("reference", make.sample(0, [0.5, 0.4]))]
+    for k in range(K):
+        u = rng.uniform(-1, 1, 2)
+        agent.overhear(k, u)
+        decision = agent.step(k, x)
+        messages += [("inputs", make.sample(k, u)), ("outputs", make.sample(k, x))]
+        messages.append(("controller/state", state_message(agent, decision)))
+        agent.prepare()
+        x = A @ x + B @ u
+    assert decision.result is not None  # it would have known what to do
+    bag = write(make, tmp_path / "bag", messages)
+    result = recompute(bag, "controller", parameters)
+    assert result.same, (result.differences, result.unmatched)
+    assert result.compared == {"controller/state": K}
+
+
 def test_outputs_that_the_recorder_lost_are_noticed_there(make, loop, tmp_path):
     messages = [m for m in loop if not (m[0] == "outputs" and m[1].k == 60)]
     result = recompute(write(make, tmp_path / "bag", messages), "controller")
