@@ -381,7 +381,7 @@ def _idle(predictor: Predictor, root: Array, m: int, known: int) -> Array:
 
 def _from_end(M: Array, p: int) -> Array:
     """Rows of M less the last p rows, sample by sample."""
-    return M - np.tile(M[-p:], (M.shape[0] // p, 1))
+    return np.asarray(M - np.tile(M[-p:], (M.shape[0] // p, 1)))
 
 
 def _terminal_rows(rows: _Rows, sized: Sized, outputs: Array, F: Array) -> None:
