@@ -86,12 +86,20 @@ class Drill:
 
     async def into_run(self):
         self.running = asyncio.create_task(self.engine.run())
-        await self.until(lambda: self.gateway.auto(time.monotonic()).accepted)
-        await self.until(lambda: self.gateway.state == "RUN" and self.told == U)
+        await self.until(self._in_control)
+        self.epoch = self.gateway.epoch
 
     async def acknowledged(self):
-        await self.until(lambda: self.gateway.acknowledge(time.monotonic()).accepted)
-        await self.until(lambda: self.gateway.state == "RUN" and self.told == U)
+        await self.until(self._in_control)
+        assert self.gateway.epoch > self.epoch
+
+    def _in_control(self):
+        """Asks for it as often as it takes: a loaded machine may lose it again on the way."""
+        if self.gateway.state == "SHADOW":
+            self.gateway.auto(time.monotonic())
+        elif self.gateway.state == "FALLBACK":
+            self.gateway.acknowledge(time.monotonic())
+        return self.gateway.state == "RUN" and self.told == U
 
     async def end(self):
         await self.engine.leave()
@@ -138,7 +146,6 @@ def test_a_server_killed_and_started_again_on_its_port(protocol, served, free_po
             assert d.told == [0.0, 0.0, 0.0]
             assert d.gateway.state == "FALLBACK", "latched"
             await d.acknowledged()
-            assert d.gateway.epoch == 3
             await d.end()
         finally:
             again.__exit__(None, None, None)
@@ -205,7 +212,7 @@ def test_a_short_cut_of_the_network_is_survived_in_the_same_epoch(drill):
         await d.state("DEGRADED")
         between.cut = False
         await d.state("RUN")
-        assert d.gateway.epoch == 2
+        assert d.gateway.epoch == d.epoch
         assert field.device.u.tolist() == U  # held all the time
 
     drill(play, PATIENT)
@@ -249,7 +256,7 @@ def test_a_field_that_stops_scanning_is_noticed_after_the_configured_time(drill)
         assert log[i - 1][2] <= STALE < log[i][2]
         field.device.scan = scan
         await d.state("RUN")
-        assert d.gateway.epoch == 2
+        assert d.gateway.epoch == d.epoch
 
     drill(play, PATIENT)
 
@@ -340,7 +347,7 @@ def test_an_opcua_server_that_lies(soon, free_port):
         await d.state("DEGRADED", "y1 is STALE")
         puppet.stuck, puppet.clock = False, timedelta(0)
         await d.state("RUN")
-        assert d.gateway.epoch == 2
+        assert d.gateway.epoch == d.epoch
         await d.end()
         serving.cancel()
         await asyncio.gather(serving, return_exceptions=True)

@@ -69,6 +69,7 @@ def unbroken(loop, s):
             runs.append((k - start, start))
             start = None
     n, k = max(runs)
+    n, k = n - (s - 1), k + s - 1  # whether the inputs before the first were in time is told by samples before it
     return np.array([loop.u[k + i] for i in range(n + s - 1)]), np.array([loop.y[k + i] for i in range(n)])
 
 

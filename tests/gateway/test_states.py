@@ -222,3 +222,28 @@ def test_leaving_ramps_to_the_safe_inputs(bench):
     b.run(2.3)
     assert b.gateway.settled()
     np.testing.assert_array_equal(b.reached[-1][1], [0.0, 0.5])
+
+
+def test_inputs_that_came_after_their_scan_are_told_by_the_echo(bench):
+    """Written in time as far as the gateway can tell, but the field was faster: the sample says which inputs acted."""
+    b = bench().start()
+    b.run(0.1)
+    k = b.samples[-1].k
+    b.controller, b.pending_beat = False, b.beat  # what was just written for k+1 arrives after the next scan
+    b.run(0.1)
+    assert [(o.k, o.held) for o in b.samples[-2:]] == [(k, 0), (k + 1, 1)]
+
+
+def test_the_first_sample_of_an_epoch_is_the_one_that_used_the_first_inputs(bench):
+    b = bench()
+    b.run(0.5)
+    b.gateway.auto(b.now)
+    b.run(1.0)
+    b.command(0)
+    b.flush()
+    late, b.pending_beat = b.pending_beat, b.beat
+    b.run(0.1)
+    assert b.samples[-1].epoch == 0
+    b.pending_beat = late
+    b.run(0.1)
+    assert (b.samples[-1].epoch, b.samples[-1].k, b.samples[-1].held) == (2, 0, 0)

@@ -16,6 +16,7 @@ from .supervisor import Answer, State, Supervisor
 from .tags import BEAT, ECHO, PEER, SCAN, Array, TagMap
 
 NO_RECORD = 0  # epoch of samples that belong to no record
+_CARRIED = 64  # newest heartbeats whose echo still tells something
 _ARMING = 10  # periods beyond the good samples that going to AUTO may take
 
 
@@ -74,8 +75,11 @@ class Gateway:
         self._peer: float | None = None
         self._pending: dict[int, Array] = {}
         self._applied_k: int | None = None
+        self._carried: dict[int, int | None] = {}  # heartbeat -> newest inputs that were written with or before it
+        self._acted: int | None = None  # inputs that the newest scan of the field used, as its echo tells
         self._on_its_way: tuple[int, Array] | None = None
         self._beat, self._beat_at, self._beat_sample = 0, -math.inf, -math.inf
+        self._first_beat_at = -math.inf
         self._runs = 0
         self._fallback_from: Array | None = None
         self._ramped_at = -math.inf
@@ -151,7 +155,7 @@ class Gateway:
         values = self._due(now)
         if values is not None:
             raw[:m] = (values - self._offset) / self._scale
-        if self._beat_due(now):
+        if self._beat_due(now, values is not None):
             self._beat = (self._beat + 1) % self.tags.modulus[BEAT]
             raw[m] = self._beat
         return None if np.isnan(raw).all() else raw
@@ -168,9 +172,15 @@ class Gateway:
                     self._fallback_from = values
         self._on_its_way = None
         if len(order) > m and not np.isnan(order[m]):
+            again = self._beat_sample == self._sampled_at and not np.isnan(order[:m]).any()
+            self._first_beat_at = self._first_beat_at if again else now
             self._beat_at, self._beat_sample = now, self._sampled_at
             if ECHO in self._index:
-                self.round_trip.sent(int(order[m]), now)
+                beat = int(order[m])
+                self.round_trip.sent(beat, self._first_beat_at)  # the controller's time is no part of the round trip
+                self._carried[beat] = self._applied_k
+                if len(self._carried) > _CARRIED:
+                    del self._carried[next(iter(self._carried))]
 
     def answered(self, seconds: float) -> None:
         """A request and its answer took so long; this is the round trip where the field echoes no heartbeat."""
@@ -228,12 +238,14 @@ class Gateway:
             if value != self._peer and math.isfinite(value):
                 self._peer, self._peer_at = value, now
         if ECHO in self._index:
-            self.round_trip.returned(float(scan.raw[self._index[ECHO]]), now)
+            echo = float(scan.raw[self._index[ECHO]])
+            self.round_trip.returned(echo, now)
+            self._acted = self._carried.get(int(echo), self._acted) if math.isfinite(echo) else self._acted
 
     def _number(self, samples: int, vector: Vector) -> Outputs | None:
         """Which sample of which epoch this is."""
         timed = self.tags.by == "timer"
-        started = self._applied_k is not None or (timed and 0 in self._pending)
+        started = self._newest_inputs() is not None or (timed and 0 in self._pending)
         if self.state in (State.RUN, State.DEGRADED) and started and self.supervisor.armed_at is None:
             self._j = 0 if self._j < 0 else self._j + samples
             k = self._j - (self.tags.plant.s - 1)  # with index s, what is seen now answers inputs up to s-1 later
@@ -248,7 +260,13 @@ class Gateway:
     def _held(self) -> int:
         if self.tags.by == "timer" and self._j in self._pending:
             return 0
-        return 0 if self._applied_k is None else max(0, self._j - self._applied_k)
+        newest = self._newest_inputs()
+        return 0 if newest is None else max(0, self._j - newest)
+
+    def _newest_inputs(self) -> int | None:
+        """Inputs that the newest sample answers: as the field says where it echoes, else as they were written."""
+        told = self.tags.by == "scan" and ECHO in self._index
+        return self._acted if told else self._applied_k
 
     def _moment(self, now: float) -> Moment:
         missed = not self.waiting and self._closed(now)
@@ -290,12 +308,12 @@ class Gateway:
         self._on_its_way, self._ramped_at = (-1, values), now
         return values
 
-    def _beat_due(self, now: float) -> bool:
-        """Whether to write the heartbeat: with every sample, and without samples a little slower."""
+    def _beat_due(self, now: float, inputs: bool) -> bool:
+        """Whether to write the heartbeat: with every sample and all inputs, and without samples a little slower."""
         released = self.state is State.FALLBACK and self.tags.supervision.policy == "release"
         if self.tags.beat is None or released or not self.supervisor.writing:
             return False
-        return self._sampled_at != self._beat_sample or now - self._beat_at > 1.5 * self.tags.period
+        return inputs or self._sampled_at != self._beat_sample or now - self._beat_at > 1.5 * self.tags.period
 
     def _drop_pending(self) -> None:
         """Commands that were let through but not written are not written any more; one on its way may arrive."""
@@ -330,6 +348,7 @@ class Gateway:
             return
         self._runs = self.supervisor.runs
         self.epoch += 1
-        self._j, self._applied_k = -1, None
+        self._j, self._applied_k, self._acted = -1, None, None
+        self._carried.clear()
         self._fallback_from = None
         self._drop_pending()
