@@ -104,6 +104,8 @@ class LiveMonitor:
         self._outputs: deque[tuple[int, Array]] = deque(maxlen=self.settings.window)
         self._starts: set[int] = set()  # outputs with which a record begins
         self._next = 0  # outputs expected next
+        self.newest = -1
+        """Index of the newest outputs that came; older ones, or the same again, are not taken."""
         self._last_L = 0  # block rows of the last report
         self._stream: Stream | None = None  # from the first indicator on
         self._proved: dict[str, int] = {}  # newest k at which each property was proved
@@ -115,13 +117,16 @@ class LiveMonitor:
         return self._drain()
 
     def output(self, k: int, y: ArrayLike, held: int = 0) -> list[Job]:
-        """Takes outputs k, shape (p,); returns the analyses that are due.
+        """Takes outputs k, shape (p,), unless they are not newer than `newest`; returns the analyses that are due.
 
         Args:
             k: index of the outputs.
             y: outputs.
             held: the plant used the input commanded ``held`` samples earlier for the newest one that y(k) depends on.
         """
+        if k <= self.newest:
+            return []
+        self.newest = k
         self._waiting.append((k, np.array(y, dtype=np.float64), held))
         return self._drain()
 

@@ -182,18 +182,20 @@ class MonitorNode(ManagedNode):
             self._analyse(self._live.input(int(msg.k), msg.values))
 
     def _on_outputs(self, msg: Sample) -> None:
-        if self._accepts(msg, len(self._info.output_names)):
-            assert self._live is not None
+        assert self._live is not None
+        if self._accepts(msg, len(self._info.output_names), self._live.newest):
             self._apply_changes(int(msg.k))
             self._stamps.append((int(msg.k), msg.header.stamp))
             self._analyse(self._live.output(int(msg.k), msg.values, int(msg.held)))
             if self._indicator is not None:
                 self._indicate(msg)
 
-    def _accepts(self, msg: Sample, size: int) -> bool:
+    def _accepts(self, msg: Sample, size: int, newest: int = -1) -> bool:
         reason = refusal(msg, size)
         if not reason and msg.epoch != self._info.epoch:
             reason = f"epoch {msg.epoch} instead of {self._info.epoch}"
+        if not reason and msg.k <= newest:
+            reason = f"again or too late, {newest} were the last"
         if reason:
             self.refused += 1
             self.get_logger().warning(f"sample {msg.k} refused: {reason}", throttle_duration_sec=5.0)
