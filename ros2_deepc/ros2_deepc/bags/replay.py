@@ -151,6 +151,7 @@ class _Taken:
     epoch: int
     k: int
     held: int
+    sender: int
     values: Array
     usable: bool
 
@@ -176,9 +177,10 @@ def _samples(messages: Messages, info: TopicInfo) -> Iterator[_Taken]:
     quality, _ = block.vectors("quality")
     unknown = ~np.isfinite(values) & (np.arange(values.shape[1]) < widths[:, None])
     usable = np.asarray(~unknown.any(axis=1) & ~np.nan_to_num(quality).any(axis=1))
-    columns = (block.column(name, kind, 0).tolist() for name, kind in (("epoch", int), ("k", np.uint64), ("held", int)))
-    for epoch, k, held, width, row, good in zip(*columns, widths.tolist(), values, usable.tolist(), strict=True):
-        yield _Taken(epoch, k, held, row[:width], good)
+    kinds = {"epoch": int, "k": np.uint64, "held": int, "sender": np.uint64}
+    columns = (block.column(name, kind, 0).tolist() for name, kind in kinds.items())
+    for *numbers, width, row, good in zip(*columns, widths.tolist(), values, usable.tolist(), strict=True):
+        yield _Taken(*numbers, row[:width], good)
 
 
 def _changes(reader: BagReader, topic: str) -> dict[int, list[Any]]:
@@ -203,12 +205,17 @@ class _Feeder:
         self._sizes = {"inputs": m, "outputs": p, "reference": p}
         self._k, self._s = -1, max(int(info.s), 1)
         self._kept: list[tuple[str, Any]] | None = []
+        self._follows = 0
         self._noted = any(change.name == "reference" for _, changes in cores for change in changes)
 
     def take(self, topic: str, message: Any) -> None:
         """One recorded message."""
         if message.epoch != self.epoch and topic != "reference":
             return
+        if topic == "outputs":
+            self._follows = message.sender or self._follows
+        if topic == "inputs" and self._follows and message.sender not in (0, self._follows):
+            return  # of a controller that the plant does not follow
         if self._kept is None:
             self._deliver(topic, message)
             return

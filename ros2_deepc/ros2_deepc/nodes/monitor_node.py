@@ -20,6 +20,7 @@ from deepc_msgs.msg import Verdict as VerdictMsg
 from rcl_interfaces.msg import SetParametersResult
 
 from ..bags.convert import to_cdr
+from ..bags.errors import BagError
 from ..bags.writer import BagWriter
 from ..monitors import Finding, Prior, Verdict
 from ..monitors.live import ENTER, PROPERTIES, Job, LiveMonitor, LiveReport
@@ -141,6 +142,7 @@ class MonitorNode(ManagedNode):
         fresh, self._info = self._live is None, info
         self._stamps: deque[tuple[int, Any]] = deque(maxlen=1000)
         self._verdicts: dict[str, Verdict] = {}
+        self._follows = 0  # whom the plant follows, as far as it has said
         self._live = make_live(self.p, info)
         if fresh:
             self.subscribe(topics.INPUTS, self._on_inputs, lockstep=bool(info.lockstep))
@@ -177,6 +179,8 @@ class MonitorNode(ManagedNode):
         self.get_logger().info(f"from outputs {k} on: " + ", ".join(f"{name} = {wanted[name]}" for name in wanted))
 
     def _on_inputs(self, msg: Sample) -> None:
+        if self._follows and msg.sender not in (0, self._follows):
+            return  # of a controller that the plant does not follow
         if self._accepts(msg, len(self._info.input_names)):
             assert self._live is not None
             self._analyse(self._live.input(int(msg.k), msg.values))
@@ -184,6 +188,7 @@ class MonitorNode(ManagedNode):
     def _on_outputs(self, msg: Sample) -> None:
         assert self._live is not None
         if self._accepts(msg, len(self._info.output_names), self._live.newest):
+            self._follows = int(msg.sender) or self._follows
             self._apply_changes(int(msg.k))
             self._stamps.append((int(msg.k), msg.header.stamp))
             self._analyse(self._live.output(int(msg.k), msg.values, int(msg.held)))
@@ -218,7 +223,11 @@ class MonitorNode(ManagedNode):
         self._report.publish(msg)
         if self._log is not None:
             at = nanoseconds(stamp)
-            self._log.write(self._log_topic, to_cdr(msg), at, at)
+            try:
+                self._log.write(self._log_topic, to_cdr(msg), at, at)
+            except BagError as error:  # a full disk ends the log, not the monitor
+                self.get_logger().error(f"no log of verdicts any more: {error}")
+                self._close_log()
         self._tell(live)
 
     def _indicate(self, outputs: Sample) -> None:
