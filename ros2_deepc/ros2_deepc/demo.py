@@ -5,6 +5,7 @@
 
 import json
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -81,7 +82,8 @@ def run(parameters: Parameters, options: Options, console: Console) -> dict[str,
         _to_the_end(parameters, steps, info.name, options, console, out)
         return _harvest(out)
     except Exception as error:
-        (out / "FAILED").write_text(f"{error}\n", encoding="utf-8")
+        with suppress(OSError):  # a full disk may be why
+            (out / "FAILED").write_text(f"{error}\n", encoding="utf-8")
         raise
 
 

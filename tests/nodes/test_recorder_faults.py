@@ -11,6 +11,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from ros2_deepc.bags import BagReader
+from ros2_deepc.demo import RunError
 from ros2_deepc.nodes.config import merged, text_of
 from ros2_deepc.nodes.stack import running
 from ros2_deepc.ros import topics
@@ -80,6 +81,15 @@ def test_a_full_disk_ends_the_recording_not_the_loop(small_disk, tmp_path, domai
     assert trouble == reason
     assert said == [(DiagnosticStatus.ERROR, reason)]
     check_bag(small_disk / "bag")
+
+
+def test_a_demo_on_a_full_disk_goes_to_its_end_and_says_what_it_could_not_keep(small_disk, demo, tmp_path):
+    (tmp_path / "run").symlink_to(small_disk, target_is_directory=True)
+    with pytest.raises(RunError, match="No space left on device"):
+        demo("wscc9", changes={"plant": {"steps": STEPS}})
+    reader = BagReader(small_disk / "bag")
+    assert not reader.complete
+    assert reader.message_count > 0
 
 
 def test_a_recorder_that_may_not_write_more_lives_on_until_it_is_told(tmp_path, domain_id, parameters_of):

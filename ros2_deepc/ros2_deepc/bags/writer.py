@@ -171,10 +171,14 @@ class BagWriter:
         if self._closed:
             return
         self._closed = True
-        if self._failure:
-            with suppress(OSError):  # what is still buffered cannot be written either
+        try:
+            if not self._failure:
+                self._finish()
+        finally:
+            with suppress(OSError):  # what is still buffered after a failure cannot be written either
                 self._file.close()
-            return
+
+    def _finish(self) -> None:
         with self._disk():
             self._finish_file()
             information = bag_information(self._files, list(self._topics.values()), self._metadata, self._ros_distro)
