@@ -18,6 +18,7 @@ from .settings import Sized, Terminal
 
 TINY = 1e-6  # weight, relative to R, that pins what nothing else determines
 CALM = 1e-5  # share of the pull towards the reference that holds the steady input where it is
+IDLE = 3e-9  # likewise to take to zero what no output sees of it: the way there costs outputs more, the larger this is
 HEAVY = 10.0  # squares that weigh more than this against Q get a variable of their own
 FREE = 1e-12  # price of a doubt that is free
 THIN = 1e-7  # terminal rows weaker than this against the strongest cannot be met by inputs, whatever they are
@@ -355,13 +356,13 @@ def _equilibrium_squares(cost: _Cost, template: Template, outputs: Array, predic
     rest = _Square(off, off_w, np.zeros((len(off), p * base.L)), base.terminal_weight).times(root)
     conditions = predictor.order + m * (base.s - 1) if base.q else len(off)
     pull = base.offset_weight * float(np.sum(end.C[:, template.free - m : template.free] ** 2)) / m
-    tiny = TINY * template.input_size
+    calm, spare = (max(share * pull, TINY * template.input_size) * template.input_shape for share in (CALM, IDLE))
     steady, known = template.inputs[-m:], template.last_input.stop
     # Around an unknown operating point, 0 is an input like any other.
     idle = _idle(predictor, root, m, known) if base.form == "absolute" else np.zeros((m, m))
     acting = np.eye(m) - idle
-    cost.add(acting @ steady, acting @ template.last_input_negative, max(CALM * pull, tiny) * template.input_shape)
-    cost.add(idle @ steady, None, tiny * template.input_shape)
+    cost.add(acting @ steady, acting @ template.last_input_negative, calm)
+    cost.add(idle @ steady, None, spare)
     return [rest.compressed(conditions), end]
 
 
@@ -376,7 +377,7 @@ def _idle(predictor: Predictor, root: Array, m: int, known: int) -> Array:
     seen = np.matmul(root, response.reshape(-1, root.shape[1], m)).reshape(-1, m)
     _, sv, directions = np.linalg.svd(seen)
     kept = directions[: int(np.count_nonzero(sv > THIN * sv[:1]))]
-    return np.eye(m) - kept.T @ kept
+    return np.asarray(np.eye(m) - kept.T @ kept)
 
 
 def _from_end(M: Array, p: int) -> Array:

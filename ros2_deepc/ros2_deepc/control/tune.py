@@ -101,8 +101,8 @@ def tune(
         base: all other settings; its N, L, q, T and form are replaced.
         N: candidates for the past samples.
         L: candidates for the horizon.
-        q: candidates for the slow order, to which the free response is cut: the regularisation of the predictor; 0 keeps
-            all directions.
+        q: candidates for the slow order, to which the free response is cut (the regularisation of the predictor); 0
+            keeps all directions.
         T: candidates for the window; 0 takes the least that Corollary 1 asks for, in white inputs.
         form: candidates for the form.
         tolerance: acceptable error at the end of the horizon, in standard deviations of the outputs.
