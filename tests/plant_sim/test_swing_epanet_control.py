@@ -160,7 +160,7 @@ def test_the_monitors_name_the_mode_that_transfers_cannot_move(probed, noise):
     finding = report.r_controllability
     assert finding.verdict is Verdict.NOT_PROVED
     assert abs(finding.lambda_star - 1) < 1e-3
-    assert finding.margin < -40
+    assert finding.margin < -15
     assert report.r_observability.verdict is Verdict.PROVED
 
 

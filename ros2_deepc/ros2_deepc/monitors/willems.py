@@ -29,7 +29,7 @@ class Lengths(NamedTuple):
     """Fewest inputs T, outputs then being known for T - s + 1 samples.
 
     Attributes:
-        rank: for the rank condition to be possible; generic inputs reach it. `analyze` asks for a sample more, since data
+        rank: for the rank condition to be possible; generic inputs reach it. `analyze` asks for a sample more: data
             that fill all their columns cannot contradict the prior.
         excitation: for persistency of excitation of the order that guarantees it.
     """
