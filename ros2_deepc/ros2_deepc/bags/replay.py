@@ -177,10 +177,10 @@ def _samples(messages: Messages, info: TopicInfo) -> Iterator[_Taken]:
     quality, _ = block.vectors("quality")
     unknown = ~np.isfinite(values) & (np.arange(values.shape[1]) < widths[:, None])
     usable = np.asarray(~unknown.any(axis=1) & ~np.nan_to_num(quality).any(axis=1))
-    kinds = {"epoch": int, "k": np.uint64, "held": int, "sender": np.uint64}
-    columns = (block.column(name, kind, 0).tolist() for name, kind in kinds.items())
-    for *numbers, width, row, good in zip(*columns, widths.tolist(), values, usable.tolist(), strict=True):
-        yield _Taken(*numbers, row[:width], good)
+    kinds = {"epoch": np.int64, "k": np.uint64, "held": np.int64, "sender": np.uint64}
+    columns = [block.column(name, kind, 0).tolist() for name, kind in kinds.items()]
+    vectors = (row[:width] for row, width in zip(values, widths.tolist(), strict=True))
+    yield from map(_Taken, *columns, vectors, usable.tolist())
 
 
 def _changes(reader: BagReader, topic: str) -> dict[int, list[Any]]:
