@@ -42,7 +42,7 @@ class Truth:
         """Outputs (L, p) from the slow state and inputs (L + s - 1, m)."""
         return (self.O @ z1 + self.T @ np.ravel(inputs)).reshape(self.L, -1)
 
-    def equilibrium(self, z1, committed, last, goal, settings, calm, idle):
+    def equilibrium(self, z1, committed, last, goal, settings, calm):
         """The same for terminal "equilibrium": the plan's last sample is the steady state that it tracks."""
         L, (p, m), tail = self.L, self.form.D.shape, settings.tail
         known = m * (self.form.s - 1)
@@ -61,7 +61,7 @@ class Truth:
             (G[-p:], g[-p:] - goal, offset * Q),
             (block - np.kron(np.ones((L, 1)), block[-m:]), np.zeros(m * L), R),
             (acting @ block[-m:], -acting @ last, calm * pull),
-            ((np.eye(m) - acting) @ block[-m:], np.zeros(m), max(idle * pull, TINY) * R),
+            ((np.eye(m) - acting) @ block[-m:], np.zeros(m), TINY * R),
         ]
         H = sum(2 * weight * C.T @ C for C, _, weight in squares)
         f = sum(2 * weight * C.T @ d for C, d, weight in squares)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ros2_deepc.control import DeepcSettings, Status
-from ros2_deepc.control.problem import CALM, IDLE
+from ros2_deepc.control.problem import CALM
 
 EXACT = {"osqp": 1e-4, "daqp": 1e-9}
 BASE = {"N": 6, "L": 14, "q": 6, "Q": 5.0, "R": 1.0, "u_min": -1.0, "u_max": 1.0}
@@ -74,7 +74,7 @@ def test_first_input_with_an_equilibrium_of_its_own(seed, s, solver, plant_form,
     for k in range(40):
         goal = [[0.0, 0.0], [3.0, -2.0], [40.0, 0.5]][k % 40 // 14]
         last = run.committed[-1] if s > 1 else run.u[-1]
-        exact = model.equilibrium(run.stepper.z1, run.committed, last, goal, run.settings, CALM, IDLE)[0]
+        exact = model.equilibrium(run.stepper.z1, run.committed, last, goal, run.settings, CALM)[0]
         result = run.step(goal)
         assert result.status.solved
         worst = max(worst, np.abs(result.u - exact).max())

@@ -18,7 +18,7 @@ from .settings import Sized, Terminal
 
 TINY = 1e-6  # weight, relative to R, that pins what nothing else determines
 CALM = 1e-5  # share of the pull towards the reference that holds the steady input where it is
-IDLE = 3e-9  # likewise to take to zero what no output sees of it: the way there costs outputs more, the larger this is
+SILENT = 1e-10  # of the strongest input's effect, squared: below it an input has none
 HEAVY = 10.0  # squares that weigh more than this against Q get a variable of their own
 FREE = 1e-12  # price of a doubt that is free
 THIN = 1e-7  # terminal rows weaker than this against the strongest cannot be met by inputs, whatever they are
@@ -356,13 +356,15 @@ def _equilibrium_squares(cost: _Cost, template: Template, outputs: Array, predic
     rest = _Square(off, off_w, np.zeros((len(off), p * base.L)), base.terminal_weight).times(root)
     conditions = predictor.order + m * (base.s - 1) if base.q else len(off)
     pull = base.offset_weight * float(np.sum(end.C[:, template.free - m : template.free] ** 2)) / m
-    calm, spare = (max(share * pull, TINY * template.input_size) * template.input_shape for share in (CALM, IDLE))
+    calm = max(CALM * pull, TINY * template.input_size) * template.input_shape
     steady, known = template.inputs[-m:], template.last_input.stop
     # Around an unknown operating point, 0 is an input like any other.
     idle = _idle(predictor, root, m, known) if base.form == "absolute" else np.zeros((m, m))
     acting = np.eye(m) - idle
     cost.add(acting @ steady, acting @ template.last_input_negative, calm)
-    cost.add(idle @ steady, None, spare)
+    # The way there disturbs outputs, but for inputs that no output ever sees: those may go at once.
+    cost.add(idle @ steady, None, TINY * template.input_size * template.input_shape)
+    cost.add(_silent(predictor, root, m, known) @ idle @ steady, None, calm)
     return [rest.compressed(conditions), end]
 
 
@@ -378,6 +380,15 @@ def _idle(predictor: Predictor, root: Array, m: int, known: int) -> Array:
     _, sv, directions = np.linalg.svd(seen)
     kept = directions[: int(np.count_nonzero(sv > THIN * sv[:1]))]
     return np.asarray(np.eye(m) - kept.T @ kept)
+
+
+def _silent(predictor: Predictor, root: Array, m: int, known: int) -> Array:
+    """Projector onto the inputs without any effect on the outputs that count, at rest or on the way, shape (m, m)."""
+    effects = np.hstack([predictor.F[:, :known], predictor.G])
+    seen = np.matmul(root, effects.reshape(-1, root.shape[1], effects.shape[1])).reshape(-1, m)
+    values, directions = np.linalg.eigh(seen.T @ seen)
+    kept = directions[:, values > SILENT * values[-1]]
+    return np.asarray(np.eye(m) - kept @ kept.T)
 
 
 def _from_end(M: Array, p: int) -> Array:
