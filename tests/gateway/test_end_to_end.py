@@ -151,18 +151,23 @@ def judge_net3(y, _protocol):
 JUDGES = {"wscc9": judge_wscc9, "net3": judge_net3}
 
 
-@pytest.mark.timeout(300)
+def out_of_bounds(domain_id, tags, last):
+    """Runs zones at once; returns those out of bounds that missed samples, unless this is the last try."""
+    again = {}
+    for (plant, protocol), (y, stalled) in once(domain_id, tags).items():
+        try:
+            JUDGES[plant](y, protocol)
+        except AssertionError:
+            if last or not stalled:
+                raise
+            again[plant, protocol] = tags[plant, protocol]
+    return again
+
+
+@pytest.mark.timeout(400)
 def test_both_plants_through_both_protocols(domain_id, tag_maps):
-    """A zone runs again if it missed a sample and is out of bounds: the machine is shared, and no real-time one."""
-    left = dict(tag_maps)
-    for attempt in range(ATTEMPTS):
-        for (plant, protocol), (y, stalled) in once(domain_id, left).items():
-            try:
-                JUDGES[plant](y, protocol)
-            except AssertionError:
-                if attempt == ATTEMPTS - 1 or not stalled:
-                    raise
-            else:
-                del left[plant, protocol]
-        if not left:
-            return
+    """What missed samples may try again, then alone: the machine is shared, and no real-time one."""
+    for zone, path in out_of_bounds(domain_id, tag_maps, last=False).items():
+        for attempt in range(ATTEMPTS):
+            if not out_of_bounds(domain_id, {zone: path}, last=attempt == ATTEMPTS - 1):
+                break
