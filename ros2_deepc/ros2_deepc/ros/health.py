@@ -86,10 +86,10 @@ class Health:
 
     def values(self) -> dict[str, float]:
         """The quantities now: jitter and answer as 95 % quantiles over the period, missed and limited as shares."""
-        lates = self.period > 0.0
+        timed = self.period > 0.0
         return {
-            "jitter": _quantile([abs(gap - self.period) / self.period for gap in self._gaps]) if lates else 0.0,
-            "answer": _quantile([answer / self.period for answer in self._answers]) if lates else 0.0,
+            "jitter": _quantile([abs(gap - self.period) / self.period for gap in self._gaps]) if timed else 0.0,
+            "answer": _quantile([answer / self.period for answer in self._answers]) if timed else 0.0,
             "missed": float(np.mean(self._missed)) if self._missed else 0.0,
             "limited": float(np.mean(self._limited)) if self._limited else 0.0,
         }
