@@ -11,6 +11,7 @@ from .writer import BagWriter
 
 _PERIOD = 0.2  # [s] between two looks at what waits; many messages at once cost less than one at a time
 _HURRY = 0.25  # share of the capacity at which the thread is woken before that
+_TURN = 1e-3  # [s] of writing after which the loop may run; handing over costs as much as writing a few messages
 _OVERHEAD = 300  # bytes of memory that a waiting message takes beside its own
 _Job = Callable[[BagWriter], None]
 
@@ -107,12 +108,15 @@ class BackgroundWriter:
 
     def _write(self, batch: deque[tuple[int, _Job]]) -> None:
         while batch:
-            size, job = batch[0]
-            job(self._writer)
-            batch.popleft()
+            written, since = 0, time.perf_counter()
+            while batch and time.perf_counter() - since < _TURN:
+                size, job = batch[0]
+                job(self._writer)
+                batch.popleft()
+                written += size
             time.sleep(0)  # hands the interpreter to the loop, which would wait for it up to 5 ms otherwise
             with self._change:
-                self._size -= size
+                self._size -= written
                 self._change.notify_all()
         self._writer.flush_if_due()
 
