@@ -22,6 +22,7 @@ from ros2_deepc.nodes.controller_node import make_agent
 from ros2_deepc.nodes.stack import running
 
 ZONE = ("monitor", "controller", "operator", "plant")
+ROUNDS = 3  # whatever else runs on the machine only ever takes time
 GOAL = 300.0  # samples a second, events executor, recorder on
 
 
@@ -64,20 +65,26 @@ def without_ros(parameters: dict) -> float:
     return parameters["plant"]["steps"] / (time.perf_counter() - begin)
 
 
+def round_of(parameters: dict) -> list[float]:
+    """Samples a second: without ROS, then with the events and the classic executor, without and with the recorder."""
+    rates = [without_ros(parameters)]
+    for executor in ("events", "single"):
+        for record in (False, True):
+            with tempfile.TemporaryDirectory() as folder:
+                rates.append(over_dds(parameters, Path(folder), executor, record))
+    return rates
+
+
 def main() -> None:
     """Prints the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=1000)
     steps = parser.parse_args().steps
-    print(f"closed loop in lockstep, one process, {steps} samples: samples a second")
+    print(f"closed loop in lockstep, one process, {steps} samples: samples a second, best of {ROUNDS} rounds")
     print(f"{'plant':8} {'no ROS':>8} {'events':>8} {'+ bag':>8} {'single':>8} {'+ bag':>8}")
     for plant in ("wscc9", "net3"):
         parameters = merged(load(shipped(plant)), {"plant": {"steps": steps}})
-        rates = [without_ros(parameters)]
-        for executor in ("events", "single"):
-            for record in (False, True):
-                with tempfile.TemporaryDirectory() as folder:
-                    rates.append(over_dds(parameters, Path(folder), executor, record))
+        rates = np.max([round_of(parameters) for _ in range(ROUNDS)], axis=0)
         print(f"{plant:8}" + "".join(f" {rate:8.0f}" for rate in rates))
         print(f"         goal {GOAL:.0f} with events and bag: {'reached' if rates[2] >= GOAL else 'MISSED'}")
 
