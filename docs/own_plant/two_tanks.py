@@ -29,7 +29,7 @@ class TwoTanks(Node):
         self.period = self.declare_parameter("sample_time", 0.1).value
         self.levels, self.pump = np.array([2.0, 1.0]), np.zeros(1)  # before the first command: pump off
         self.epoch = self.get_clock().now().nanoseconds // 10**9 % 2**32  # a restart is a new record
-        self.k, self.commanded = 0, -1
+        self.k, self.commanded, self.commands = 0, -1, {}
         self.about = self.create_publisher(PlantInfo, "plant_info", LATCHED)
         self.outputs = self.create_publisher(Sample, "outputs", 10)
         self.create_subscription(Sample, "inputs", self.take, 10)
@@ -46,14 +46,16 @@ class TwoTanks(Node):
 
     def take(self, msg):
         """The inputs for sample msg.k."""
-        if msg.epoch == self.epoch and msg.k > self.commanded and np.all(np.isfinite(msg.values)):
-            self.pump, self.commanded = np.clip(msg.values, -1, 1), msg.k
+        if msg.epoch == self.epoch and msg.k >= self.k and np.all(np.isfinite(msg.values)):
+            self.commands[msg.k] = np.clip(msg.values, -1, 1)
 
     def tick(self):
-        """One sample: say what is measured, then move."""
+        """One sample: say what is measured, then move. Without inputs for this k the last ones are held."""
+        if self.k in self.commands:
+            self.pump, self.commanded = self.commands.pop(self.k), self.k
         y = Sample(epoch=self.epoch, k=self.k, values=self.levels[1:])
         y.header.stamp = self.get_clock().now().to_msg()
-        y.held = max(self.k - self.commanded, 0) if self.commanded >= 0 else Sample.OWN_INPUT
+        y.held = self.k - self.commanded if self.commanded >= 0 else Sample.OWN_INPUT
         self.outputs.publish(y)
         self.step()
         self.k += 1
