@@ -5,6 +5,7 @@
 
 from collections import deque
 from dataclasses import dataclass, fields
+from statistics import median
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -100,13 +101,13 @@ class Watch:
         if out.size:
             i = int(out[0])
             return f"output {i} is {y[i]:.6g}, beyond its bounds"
-        if predicted is None or not self._count:
+        if predicted is None or not self._count or bounds.trip_error == np.inf:
             return ""
         scale = np.sqrt(self._changes / self._count)
         error = np.abs(y - np.asarray(predicted, dtype=np.float64))
         told = (scale > 0) & ~np.isnan(error)
         self._errors.append(float((error[told] / scale[told]).max(initial=0.0)))
-        typical = float(np.median(self._errors))
+        typical = median(self._errors)
         if len(self._errors) == bounds.trip_window and typical > bounds.trip_error:
             return (
                 f"predictions were off by {typical:.3g} times the changes seen in the data over the last "
