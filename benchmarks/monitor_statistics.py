@@ -261,6 +261,8 @@ def noise(n: int) -> Table:
                 f"{label:22} {decibel:4} {n:7} {rates[0]:>15} {rates[1]:>15} | {false[0]:5} {false[1]:5} of {n}"
             )
             if any(false):
+                broken.append(f"{sum(false)} uncontrollable plants PROVED at {decibel} dB, {label}")
+            if any(false):
                 broken.append(f"false PROVED at {label}, {decibel} dB: {false}")
     return Table(lines, broken)
 
