@@ -21,6 +21,7 @@ COMMANDS = {
     "run": "run",
     "record": "record",
     "plants": "plants",
+    "analyze": "analyze",
     "replay": "replay",
     "report": "bags",
     "check": "bags",

@@ -69,3 +69,21 @@ def test_prior_too_small_is_noticed(rng):
     report = analyze(u, y, prior=Prior(q=2))
     assert report.r_controllability.verdict == Verdict.PRIOR_VIOLATED
     assert report.estimate.q == 3
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_margins_over_the_plane_are_never_below_the_least(rng, noise):
+    u, y = record(rng, np.array([[0.0], [0.0], [1.0]]), T=200)
+    y += noise * rng.standard_normal(y.shape)
+    report = analyze(u, y, prior=Prior(q=3), noise=noise)
+    finding = report.r_controllability
+    assert report.margins(finding.lambda_star) == pytest.approx(finding.margin, abs=1e-6)
+    axis = np.linspace(-1.5, 1.5, 41)
+    plane = axis + 1j * axis[:, None]
+    margins = report.margins(plane)
+    assert margins.shape == plane.shape
+    assert margins.min() > finding.margin - 0.5  # the search ends within a tenth of the value
+    np.testing.assert_allclose(margins, report.margins(plane.conj()), atol=1e-6)
+    assert np.isfinite(report.margins(np.inf))
+    short = analyze(u[:5], y[:5], prior=Prior(q=3), noise=noise)
+    assert np.isnan(short.margins([0.0, 1j])).all()

@@ -15,8 +15,7 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from ..bags.mapping import load_signals
-from ..bags.run import load_run
+from ..bags.records import load_records
 from ..control import DeepcSettings
 from ..control.tune import Trial, Tuning
 from ..control.tune import tune as search
@@ -25,7 +24,7 @@ SHOWN = 8  # best combinations that are listed
 
 
 def tune(
-    bag: Annotated[Path, typer.Argument(help="Folder of the bag, or one .mcap file.")],
+    bag: Annotated[Path, typer.Argument(help="A run's folder, a bag, or a table (.csv, .tsv, .txt, .parquet).")],
     N: Annotated[list[int] | None, typer.Option("-N", help="Candidate for the past samples; repeatable.")] = None,
     L: Annotated[list[int] | None, typer.Option("-L", help="Candidate for the horizon; repeatable.")] = None,
     q: Annotated[list[int] | None, typer.Option("-q", help="Candidate for the order, 0 = all; repeatable.")] = None,
@@ -33,11 +32,10 @@ def tune(
     folds: Annotated[int, typer.Option(help="Held-out stretches.", min=1)] = 4,
     jobs: Annotated[int, typer.Option(help="Processes (more than one needs joblib).", min=1)] = 1,
     inputs: Annotated[
-        list[str] | None, typer.Option("--input", help="Bags of others: channel of u, /topic:field; repeatable.")
+        list[str] | None, typer.Option("--input", help="Column, or /topic:field in bags of others; repeatable.")
     ] = None,
-    outputs: Annotated[
-        list[str] | None, typer.Option("--output", help="Bags of others: channel of y, /topic:field; repeatable.")
-    ] = None,
+    outputs: Annotated[list[str] | None, typer.Option("--output", help="Likewise for the outputs; repeatable.")] = None,
+    time: Annotated[str, typer.Option(help="Tables: column with the time; uneven steps are gaps.")] = "",
     namespace: Annotated[str | None, typer.Option(help="Namespace of the plant, if the bag holds several.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the figure and the settings found.")] = None,
 ) -> None:
@@ -49,8 +47,11 @@ def tune(
     Examples:
       ros2-deepc tune runs/today/bag --out tuned
       ros2-deepc tune plc.mcap --input /cmd:data[0] --output /level:data
+      ros2-deepc tune scada.csv --input pump --output level --time time
     """
-    u, y, s = _data(bag, inputs, outputs, namespace)
+    found = load_records(bag, inputs or [], outputs or [], time=time, namespace=namespace)
+    u, y = found.longest
+    u, s = u[: len(y)], max(found.s, 1)
     grid = {name: tuple(values) for name, values in (("N", N), ("L", L), ("q", q), ("T", T)) if values}
     base = DeepcSettings(N=1, L=1, s=s, terminal="none")
     console = Console()
@@ -60,32 +61,17 @@ def tune(
         def progress(done: int, total: int, _trial: Trial) -> None:
             bar.update(task, completed=done, total=total)
 
-        found = search(u, y, base, folds=folds, jobs=jobs, progress=progress, **grid)  # type: ignore[arg-type]
-    console.print(_table(found))
-    chosen = {name: getattr(found.settings, name) for name in ("N", "L", "q", "T", "form")}
+        tuned = search(u, y, base, folds=folds, jobs=jobs, progress=progress, **grid)  # type: ignore[arg-type]
+    console.print(_table(tuned))
+    chosen = {name: getattr(tuned.settings, name) for name in ("N", "L", "q", "T", "form")}
     console.print("  best: " + ", ".join(f"{name} = {value}" for name, value in chosen.items()))
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         (out / "controller.yaml").write_text(
             yaml.safe_dump({"/**/controller": {"ros__parameters": chosen}}, sort_keys=False), encoding="utf-8"
         )
-        _draw(found, out / "tuning.png")
+        _draw(tuned, out / "tuning.png")
         console.print(f"  figure and settings: {out}", soft_wrap=True)
-
-
-def _data(
-    bag: Path, inputs: list[str] | None, outputs: list[str] | None, namespace: str | None
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Inputs and outputs of the longest unbroken stretch, and the index of the plant."""
-    if inputs or outputs:
-        signals = load_signals(bag, inputs or [], outputs or [])
-        return signals.u, signals.y, 1
-    run = load_run(bag, namespace)
-    whole = np.isfinite(run.u).all(axis=1)
-    breaks = (np.diff(run.k) != 1) | (np.diff(run.epoch) != 0) | ~whole[1:] | ~whole[:-1]
-    stretches = np.split(np.arange(len(run)), np.flatnonzero(breaks) + 1)
-    rows = max(stretches, key=len)
-    return run.u[rows], run.y[rows], max(int(run.prior["s"]), 1)
 
 
 def _table(found: Tuning) -> Table:

@@ -236,4 +236,5 @@ def _report(source: Source, prior: Prior, L: int, noise: Noise, slow: Outcome, t
         columns=source.columns(L, L + prior.s),
         estimate=estimate,
         noise_source=noise.source,
+        pencil=slow.pencil,
     )

@@ -59,6 +59,7 @@ class Outcome:
         seen: directions of the outputs above the noise bound that the inputs of the window do not explain.
         eps: noise bound used.
         excited: whether the inputs are persistently exciting of the order of the window.
+        pencil: on which controllability was decided; None if it came to none.
     """
 
     controllability: Finding
@@ -67,6 +68,7 @@ class Outcome:
     seen: int
     eps: float
     excited: bool
+    pencil: Pencil | None = None
 
     @property
     def open(self) -> bool:
@@ -161,7 +163,7 @@ def decide(data: Compression, q: int, eps_noise: float, names: Names = SLOW, *, 
     low = minimum(pencil)
     eps += pencil.floor
     control = observe if seen > q else _controllability(data, pencil, low, q, eps, names)
-    return Outcome(control, observe, find_modes(low, eps), seen, eps, True)
+    return Outcome(control, observe, find_modes(low, eps), seen, eps, True, pencil)
 
 
 def _observability(data: Compression, seen: int, q: int, eps: float, names: Names) -> Finding:

@@ -11,6 +11,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .pencil import Pencil
+
 Array = NDArray[np.float64]
 
 
@@ -167,6 +169,7 @@ class Report:
         columns: columns of the data matrix.
         estimate: structure that the data show.
         noise_source: "exact", "given" or "estimated".
+        pencil: the matrix function of lambda that R-controllability was decided on; None if it came to none.
     """
 
     r_controllability: Finding
@@ -184,3 +187,20 @@ class Report:
     columns: int
     estimate: StructureEstimate
     noise_source: str
+    pencil: Pencil | None = None
+
+    def margins(self, lam: ArrayLike) -> Array:
+        """Margin of the rank that R-controllability needs, at each lambda [dB]; `Finding.margin` is the least of all.
+
+        Args:
+            lam: complex numbers (inf allowed), any shape.
+
+        Returns:
+            20 log10(kappa(lambda) / noise bound), same shape; nan everywhere if the data did not come to a pencil.
+        """
+        points = np.asarray(lam, dtype=np.complex128)
+        if self.pencil is None:
+            return np.full(points.shape, np.nan)
+        kappa = self.pencil.singular_values(points.ravel())[:, -1]
+        with np.errstate(divide="ignore"):
+            return np.asarray(20 * np.log10(kappa / self.r_controllability.noise_bound)).reshape(points.shape)
