@@ -20,7 +20,7 @@ from ..bags.run import PROPERTIES
 from ..bags.style import PROPERTY, VERDICT
 from ..monitors import Finding, Noise, Prior, Report, Verdict, analyze_records, estimate_structure, increments
 from .bar import bar
-from .plane import draw_plane, spoken
+from .plane import at_fault, draw_plane, speaks, spoken
 
 PICTURES = (".png", ".svg", ".pdf")
 COLOR = {Verdict.PROVED: "green", Verdict.NOT_PROVED: "yellow", Verdict.PRIOR_VIOLATED: "red"}
@@ -142,9 +142,10 @@ def _show(console: Console, title: str, found: Recorded, prior: Prior, report: R
     for name in PROPERTIES:
         table.add_row(*_line(name, getattr(report, name)))
     console.print(table)
-    at_fault = [mode for mode in report.modes if mode.at_fault]
-    for mode in at_fault:
-        console.print(f"  mode at fault: λ = {spoken(mode.lambda_)}, {_place(mode.place)}", highlight=False)
+    for mode in at_fault(report):
+        console.print(
+            f"  mode at fault: λ = {spoken(mode.lambda_)}, {_place(mode.place)}", highlight=False, soft_wrap=True
+        )
     estimate = report.estimate
     console.print(
         f"  seen: q >= {estimate.q}, s >= {max(estimate.s, 1)}, lag {estimate.lag}; rank {report.rank} of "
@@ -155,7 +156,7 @@ def _show(console: Console, title: str, found: Recorded, prior: Prior, report: R
 
 def _line(name: str, finding: Finding) -> tuple[Text, Text, Text, Text]:
     color = COLOR.get(finding.verdict, "bright_black")
-    margin = f"{finding.margin:+.1f} dB" if math.isfinite(finding.margin) else ""
+    margin = f"{finding.margin:+.1f} dB" if speaks(finding) else ""
     word = VERDICT[finding.verdict.name].word
     return Text(PROPERTY[name]), Text(f"● {word}", style=color), Text(margin), Text(finding.reason, style="dim")
 
@@ -164,7 +165,7 @@ def _place(place: str) -> str:
     """What a mode that inputs do not move means for the plant."""
     return {
         "inside": "inside the unit circle: it decays by itself",
-        "on": "on the unit circle: what it holds stays for ever",
+        "on": "on the unit circle, as far as noise tells: what it holds stays",
         "outside": "outside the unit circle: it grows, and no input stops it",
     }[place]
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from ..bags.run import PROPERTIES
 from ..bags.style import INK, MUTED, PROPERTY, RULE, VERDICT
-from ..monitors import Report
+from ..monitors import Finding, Mode, Report, Verdict
 
 POINTS = 241  # of the grid along the real axis
 REACH = 1.35  # the plane is shown so far from the origin, farther if a mode lies outside
@@ -56,16 +56,16 @@ def _plane(figure: Figure, report: Report) -> None:
         _margins(figure, axis, report, reach)
     angle = np.linspace(0, 2 * np.pi, 361)
     axis.plot(np.cos(angle), np.sin(angle), color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+    lost = report.r_controllability.verdict == Verdict.NOT_PROVED
     for mode in report.modes:
         if np.isfinite(mode.lambda_):
-            face = ATTENTION if mode.at_fault else "white"
-            size = 11 if mode.at_fault else 6
+            face, size = (ATTENTION, 11) if lost and mode.at_fault else ("white", 6)
             axis.plot(mode.lambda_.real, mode.lambda_.imag, "o", color=face, markeredgecolor=INK, markersize=size)
-    faulty = [mode.lambda_ for mode in report.modes if mode.at_fault and np.isfinite(mode.lambda_)]
-    for lam in faulty[:3]:
-        side = "right" if lam.real > 0 else "left"
+    star = report.r_controllability.lambda_star
+    if lost and np.isfinite(star):
+        side = "right" if star.real > 0 else "left"
         axis.annotate(
-            f"λ = {spoken(lam)}", (lam.real, lam.imag), (-10 if lam.real > 0 else 10, 16), ha=side,
+            f"λ = {spoken(star)}", (star.real, star.imag), (-10 if star.real > 0 else 10, 16), ha=side,
             textcoords="offset points", fontweight="bold",
         )  # fmt: skip
 
@@ -106,10 +106,22 @@ def _verdicts(axis: Axes, report: Report) -> None:
             0.46, top - 0.1, f" {look.word} ", color=look.text, va="center",
             bbox={"facecolor": look.fill, "edgecolor": RULE, "boxstyle": "round,pad=0.25"},
         )  # fmt: skip
-        if np.isfinite(finding.margin):
+        if speaks(finding):
             axis.text(1, top - 0.1, f"{finding.margin:+.1f} dB", va="center", ha="right")
         reason = "\n".join(textwrap.wrap(finding.reason, 62)[:4])
         axis.text(0, top - 0.26, reason, color=MUTED, va="top", fontsize=10, linespacing=1.35)
+
+
+def at_fault(report: Report) -> list[Mode]:
+    """The modes that keep R-controllability from being proved, one of each conjugate pair."""
+    if report.r_controllability.verdict != Verdict.NOT_PROVED:
+        return []
+    return [m for m in report.modes if m.at_fault and np.isfinite(m.lambda_) and m.lambda_.imag >= 0]
+
+
+def speaks(finding: Finding) -> bool:
+    """Whether the margin tells how near the verdict is to another one."""
+    return finding.verdict in (Verdict.PROVED, Verdict.NOT_PROVED) and bool(np.isfinite(finding.margin))
 
 
 def spoken(lam: complex) -> str:
