@@ -32,10 +32,13 @@ def plants(
         parameters = {"plant": name, "options": option or [""]}
         console.print(node.describe(parameters), soft_wrap=True, highlight=False, markup=False)  # type: ignore[attr-defined]
         return
-    table = Table("plant", "n", "q", "r", "s", "inputs", "outputs", "Ts", "what it is", box=None, padding=(0, 1))
+    table = Table("plant", "n", "q", "r", "s", "inputs", "outputs", "Ts", box=None, padding=(0, 1))
+    described = []
     for each in sorted(entry.name for entry in entry_points(group="ros2_deepc.plants")):
         plant = node.plant_of({"plant": each})  # type: ignore[attr-defined]
         structure = ("-" if value == 0 and plant.system is None else str(value) for value in plant.prior)
         inputs, outputs = ", ".join(plant.input_names), ", ".join(plant.output_names)
-        table.add_row(each, *structure, inputs, outputs, f"{plant.sample_time:g} s", plant.description)
+        table.add_row(each, *structure, inputs, outputs, f"{plant.sample_time:g} s")
+        described.append(f"{each}: {plant.description}")
     console.print(table)
+    console.print("\n" + "\n".join(described), highlight=False, markup=False)
