@@ -32,7 +32,8 @@ def matrix(value: ArrayLike, name: str, shape: tuple[int | None, ...]) -> Array:
             raise TypeError("it has complex entries")
         a = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ShapeError(f"{name} must be a real matrix: {error}") from None
+        ragged = "inhomogeneous" in str(error)
+        raise ShapeError(f"{name} must be a real matrix: {'rows differ in length' if ragged else error}") from None
     if a.ndim != len(shape) or any(
         want is not None and have != want for have, want in zip(a.shape, shape, strict=True)
     ):

@@ -48,9 +48,9 @@ class DescriptorSystem:
         put = object.__setattr__
         A = matrix(A, "A", (None, None))
         n = len(A)
-        B, C = matrix(B, "B", (n, None)), matrix(C, "C", (None, n))
         put(self, "A", matrix(A, "A", (n, n)))
         put(self, "E", matrix(E, "E", (n, n)))
+        B, C = matrix(B, "B", (n, None)), matrix(C, "C", (None, n))
         put(self, "B", B)
         put(self, "C", C)
         put(self, "D", matrix(np.zeros((len(C), B.shape[1])) if D is None else D, "D", (len(C), B.shape[1])))

@@ -125,15 +125,16 @@ def system_prior(system: DescriptorSystem) -> StructurePrior:
     return StructurePrior(n=system.n, q=form.q, r=form.r, s=form.s)
 
 
-def suggested_settings(system: DescriptorSystem) -> dict[str, Any]:
+def suggested_settings(system: DescriptorSystem, N: int = 0, L: int = 0) -> dict[str, Any]:
     """Controller settings that suit the size of a linear plant.
 
-    N reaches back over the lag that generic outputs need plus two samples, L looks twice as far ahead, and T is the
-    least record whose Hankel matrix of depth N + L can have full rank m (N + L) + q, plus a tenth.
+    Unless N and L are given, N reaches back over the lag that generic outputs need plus two samples, and L looks twice
+    as far ahead. T is the least record whose Hankel matrix of depth N + L can have full rank m (N + L) + q, plus a
+    tenth.
     """
     q, s = system.weierstrass().q, system.weierstrass().s
-    N = max(2, -(-q // max(1, system.p)) + 2) + s - 1
-    L = 2 * N
+    N = N or max(2, -(-q // max(1, system.p)) + 2) + s - 1
+    L = L or 2 * N
     T = (system.m + 1) * (N + L) + q + s
     return {
         "N": N,

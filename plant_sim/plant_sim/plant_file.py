@@ -99,7 +99,9 @@ def _overridden(plant: Plant, data: Mapping[str, Any], system: DescriptorSystem)
     if "references" in data:
         changes["references"] = tuple((item["k"], item["values"]) for item in data["references"])
     if "settings" in data:
-        changes["settings"] = {**plant.settings, **data["settings"]}
+        own = data["settings"]
+        suited = suggested_settings(system, int(own.get("N", 0)), int(own.get("L", 0)))  # T follows from N and L
+        changes["settings"] = {**plant.settings, **suited, **own}
     if "steps" in data:
         changes["steps"] = int(data["steps"])
     if "initial" in data:

@@ -88,7 +88,7 @@ def test_yaml_with_a_water_network(tmp_path):
         (("sample_time: 2.0", ""), "plant.yaml: the file lacks sample_time"),
         (("sample_time: 2.0", "sample_time: -1"), "sample_time must be a positive number"),
         (("steps: 80", "stepps: 80"), "unknown key 'stepps': it may hold A, B, C"),
-        (("[0.1, 0.8, 0.0]", "[0.1, 0.8]"), "plant.yaml: A must be a real matrix"),
+        (("[0.1, 0.8, 0.0]", "[0.1, 0.8]"), "plant.yaml: A must be a real matrix: rows differ in length"),
         (("[0.0, 0.2, -1.0]", "[0.0, 0.2, 0.0]"), "plant.yaml: .*singular|column 2"),
         (("B: [[0.5], [0.0], [0.0]]", "B: [[0.5], [0.0]]"), r"B must have shape \(3, any\)"),
         (("input_names: [pump]", "input_names: [a, b]"), "2 inputs and 2 outputs need as many units"),

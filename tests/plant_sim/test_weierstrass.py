@@ -186,6 +186,7 @@ def test_matrices_are_copied():
         ({"E": [[np.inf, 0.0], [0.0, 1.0]]}, r"E\[0, 0\] is inf"),
         ({"C": "what"}, "C must be a real matrix"),
         ({"A": np.eye(2) * 1j}, "A must be a real matrix"),
+        ({"A": np.eye(2)[:1]}, r"A must have shape \(1, 1\), got \(1, 2\)"),
     ],
 )
 def test_bad_matrices_are_named(change, message):

@@ -88,6 +88,27 @@ def test_a_demo_leaves_bag_figure_and_summary(deepc, tmp_path):
     assert not (tmp_path / "run" / "FAILED").exists()
 
 
+def test_a_demo_of_a_plant_from_a_file_takes_what_the_plant_suggests(deepc, tmp_path):
+    """The example of docs/plants.md, as every command takes it."""
+    page = (Path(__file__).parents[2] / "docs" / "plants.md").read_text(encoding="utf-8")
+    text = next(part for part in page.split("```") if "name: two_tanks" in part).removeprefix("yaml\n")
+    (tmp_path / "two tanks.yaml").write_text(text)
+    done = deepc("demo", "two tanks.yaml", "--steps", "120", "--out", "run")
+    assert (done.returncode, done.stderr) == (0, "")
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert (summary["plant"], summary["steps"]) == ("two_tanks", 120)
+    assert summary["outputs"]["level"]["rmse"][-1] < 1e-6
+    assert summary["verdicts"]["r_controllability"] == "PROVED"
+
+
+def test_a_demo_tells_a_zone_from_a_plant(deepc, tmp_path):
+    config = Path(__file__).parents[2] / "launch_scripts" / "config" / "wscc9.yaml"
+    done = deepc("demo", config, "--out", "run")
+    assert done.returncode == 1
+    assert "holds the parameters of a zone, not a plant: ros2-deepc run" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory, domain_id):
     """The folder of a short run."""
@@ -145,7 +166,7 @@ def test_plants_are_listed_and_described(deepc):
     assert deepc("plants", "nosuch").stderr.startswith("error: unknown plant 'nosuch'")
 
 
-@pytest.mark.parametrize("command", ["replay", "report", "check", "export", "layout"])
+@pytest.mark.parametrize("command", ["analyze", "replay", "report", "check", "export", "layout"])
 def test_a_bag_that_is_not_there_is_one_line(deepc, command):
     extra = (
         ["--recompute", "all"] if command == "replay" else ["--out", "x.csv"] if command in ("export", "layout") else []

@@ -13,12 +13,15 @@ from rich.console import Console
 from rich.table import Table
 
 from .. import demo as runner
-from ..nodes.config import ROLES, load, merged, shipped
+from ..nodes.config import ROLES, merged
+from ..nodes.suggested import title_of, zone_of
 from ..ros.run import EXECUTORS
 
 
 def demo(
-    plant: Annotated[str, typer.Argument(help="Which plant: wscc9 (9-bus grid), net3 (water network), ...")] = "wscc9",
+    plant: Annotated[
+        str, typer.Argument(help="Which plant: wscc9 (9-bus grid), net3 (water network), ..., or a plant's YAML file.")
+    ] = "wscc9",
     out: Annotated[
         Path | None, typer.Option(help="Folder for bag, figure and summary. Default: runs/<time>-<plant>.")
     ] = None,
@@ -44,18 +47,17 @@ def demo(
       ros2-deepc demo
       ros2-deepc demo net3 --seed 3 --out net3-run
       ros2-deepc demo wscc9 -o variant=full
+      ros2-deepc demo my_grid.yaml --steps 300
     """
     if executor not in EXECUTORS:
         raise ValueError(f"--executor {executor}: choose one of {', '.join(EXECUTORS)}")
     plant_changes: dict[str, Any] = {"seed": seed}
     if steps is not None:
         plant_changes["steps"] = steps
-    if option:
-        plant_changes["options"] = option
-    parameters = merged(load(shipped(plant)), {"plant": plant_changes, "controller": {"seed": seed}})
+    parameters = merged(zone_of(plant, option), {"plant": plant_changes, "controller": {"seed": seed}})
     parameters = merged(parameters, parse_changes(changes or []))
-    out = out or Path("runs") / f"{datetime.now(tz=UTC).strftime('%Y%m%dT%H%M%S')}-{plant}"
-    options = runner.Options(out=out, namespace=f"/{plant}", executor=executor, processes=processes)
+    out = out or Path("runs") / f"{datetime.now(tz=UTC).strftime('%Y%m%dT%H%M%S')}-{title_of(plant)}"
+    options = runner.Options(out=out, namespace=f"/{title_of(plant)}", executor=executor, processes=processes)
     console = Console()
     print_summary(console, runner.run(parameters, options, console))
     console.print(f"  figure, bag and summary: {out}", soft_wrap=True)
