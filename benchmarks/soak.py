@@ -107,10 +107,8 @@ def settings(steps, folder, record):
 class _Mallinfo(ctypes.Structure):
     """struct mallinfo2 of glibc [bytes], summed over all arenas."""
 
-    _fields_ = [
-        (name, ctypes.c_size_t)
-        for name in "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost".split()
-    ]
+    _names = "arena ordblks smblks hblks hblkhd usmblks fsmblks uordblks fordblks keepcost"
+    _fields_ = [(name, ctypes.c_size_t) for name in _names.split()]
 
 
 def heap():
@@ -134,9 +132,9 @@ def soak(steps, checks, *, record=False, domain_id=None, tell=lambda _line: None
     """Runs ``steps`` samples and looks ``checks`` times, evenly spread.
 
     Returns:
-        Array of shape (checks, 10): samples done, MB, objects, threads, files, error of the predictions (NaN while there
-        are none), samples a second since the last check, MB of the C heap in use, MB of it that are free, blocks of
-        Python's own allocator.
+        Array of shape (checks, 10): samples done, MB, objects, threads, files, error of the predictions (NaN while
+        there are none), samples a second since the last check, MB of the C heap in use, MB of it that are free, blocks
+        of Python's own allocator.
     """
     rows = []
     with tempfile.TemporaryDirectory() as name:
@@ -203,7 +201,7 @@ def main():
     parser.add_argument("--record", action="store_true", help="with a recorder; the bag is thrown away")
     parser.add_argument("--domain", type=int, default=None, help="DDS domain")
     args = parser.parse_args()
-    names = "samples MB objects threads files error samples/s heap free blocks".split()
+    names = ["samples", "MB", "objects", "threads", "files", "error", "samples/s", "heap", "free", "blocks"]
     print(("{:>9}" * 10).format(*names))
 
     def tell(row):

@@ -16,13 +16,14 @@ from rosgraph_msgs.msg import Clock as ClockMsg
 
 from ros2_deepc.ros import topics
 from ros2_deepc.ros.claim import Claimants, Owner
-from ros2_deepc.ros.convert import period_ns, refusal, sample, stamp
+from ros2_deepc.ros.convert import period_ns, refusal, stamp
 from ros2_deepc.ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from ros2_deepc.ros.health import Health
 from ros2_deepc.ros.lifecycle import ManagedNode
 from ros2_deepc.ros.parameters import ConfigError, Param
 from ros2_deepc.ros.plants import find_plant
 from ros2_deepc.ros.run import run_node
+from ros2_deepc.ros.wire import Reading, pack
 
 from .describe import describe
 from .plant import Plant
@@ -173,7 +174,7 @@ class PlantNode(ManagedNode):
         wall = 0.0 if self._lockstep else self.plant.sample_time / self.p["speed"]
         self._owner, self._health = Owner(self._claimants, 2.0 * wall), Health(wall)
         self._wall = wall
-        self._ticked = math.nan
+        self._ticked, self._took = math.nan, 0.0
         self._start_ns = self._period if self._lockstep else self.get_clock().now().nanoseconds
         speed = 1.0 if self._lockstep else self.p["speed"]
         info = plant_info(self.plant, self._epoch, lockstep=self._lockstep, speed=speed)
@@ -202,7 +203,7 @@ class PlantNode(ManagedNode):
         """Sampling instant of k [ns]. Lockstep starts at Ts: ROS reads 0 as 'no time'."""
         return int(self._start_ns + k * self._period)
 
-    def _on_inputs(self, msg: Sample) -> None:
+    def _on_inputs(self, msg: Reading) -> None:
         reason = refusal(msg, len(self.plant.input_names))
         if not reason and msg.epoch != self._epoch:
             reason = f"epoch {msg.epoch} instead of {self._epoch}"
@@ -243,8 +244,9 @@ class PlantNode(ManagedNode):
             self._held = 0
         gap, self._ticked = now - self._ticked, now
         self._note_skipped(gap)
+        self._health.sample(gap, self._took, limited=False)
         self._step(u)
-        self._health.sample(gap, time.monotonic() - now, limited=False)
+        self._took = time.monotonic() - now  # told with the next tick: the controller's answer comes first
 
     def _note_skipped(self, gap: float) -> None:
         """A timer leaves out the ticks that a stalled process has missed: the plant then lags behind its real time."""
@@ -307,7 +309,7 @@ class PlantNode(ManagedNode):
         if y is not None:
             k = self._k - max(int(self.plant.prior.s), 1)
             sender = 0 if self._held == Sample.OWN_INPUT else self._owner.sender or 0
-            self._outputs.publish(sample(self.plant.name, self._epoch, k, y, self._time(k), self._held, sender))
+            self._outputs.publish(pack(self.plant.name, self._epoch, k, y, self._time(k), self._held, sender))
         if self.finished:
             self.get_logger().info(f"{self.plant.name}: {self._k} samples done")
 

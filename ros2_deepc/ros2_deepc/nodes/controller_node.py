@@ -21,13 +21,14 @@ from ..control.joined import Joined
 from ..control.modes import Mode
 from ..ros import topics
 from ..ros.claim import Claimants, Holder
-from ..ros.convert import nanoseconds, period_ns, refusal, sample
+from ..ros.convert import nanoseconds, period_ns, refusal
 from ..ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from ..ros.health import Health
 from ..ros.lifecycle import ManagedNode
 from ..ros.parameters import ConfigError
 from ..ros.publisher import PatientPublisher
 from ..ros.run import run_node
+from ..ros.wire import Reading, pack
 from . import changes
 from .controller_settings import PARAMETERS, make_agent, settings_for
 from .controller_state import state_message
@@ -63,7 +64,7 @@ class ControllerNode(ManagedNode):
     def configure(self) -> None:
         """Makes the topics and services that do not depend on the plant."""
         self._agent: Agent | None = None
-        self._unfinished: tuple[Sample, Decision] | None = None
+        self._unfinished: tuple[Reading, Decision] | None = None
         self._waits = False  # for another controller to go
         self._inputs: PatientPublisher | None = None
         self._state: PatientPublisher | None = None
@@ -114,7 +115,7 @@ class ControllerNode(ManagedNode):
         agent = make_agent(self.p, info)
         self._agent, self._info, self._started = agent, info, False
         self._k = self._decided = -1  # newest outputs accepted, and answered
-        self._joined: Joined[Sample] = Joined(agent.disturbances, agent.settings.disturbances > 0)
+        self._joined: Joined[Reading] = Joined(agent.disturbances, agent.settings.disturbances > 0)
         self._t0, self._period = nanoseconds(info.header.stamp), period_ns(info.sample_time)
         self._wall = 0.0 if info.lockstep else info.sample_time / (info.speed or 1.0)
         self._health = Health(self._wall)
@@ -227,13 +228,13 @@ class ControllerNode(ManagedNode):
             self.get_logger().warning("no outputs yet: the first inputs once more")
             self._send_first()
 
-    def _on_inputs(self, msg: Sample) -> None:
+    def _on_inputs(self, msg: Reading) -> None:
         """SHADOW only: what whoever is in control commands."""
         assert self._agent is not None
         if self._agent.mode is Mode.SHADOW and not refusal(msg, len(self._info.input_names)):
             self._agent.overhear(int(msg.k), msg.values)
 
-    def _on_disturbances(self, msg: Sample) -> None:
+    def _on_disturbances(self, msg: Reading) -> None:
         """Measured at sample k, and forecast for the samples after it as far as there are values."""
         assert self._agent is not None
         size = len(self._info.disturbance_names)
@@ -260,7 +261,7 @@ class ControllerNode(ManagedNode):
 
     # Samples
 
-    def _on_outputs(self, msg: Sample) -> None:
+    def _on_outputs(self, msg: Reading) -> None:
         assert self._agent is not None
         reason = refusal(msg, len(self._info.output_names))
         if not reason and msg.epoch != self._info.epoch:
@@ -282,7 +283,7 @@ class ControllerNode(ManagedNode):
         for _, outputs in self._joined.outputs(self._k, msg):
             self._answer(outputs)
 
-    def _answer(self, msg: Sample) -> None:
+    def _answer(self, msg: Reading) -> None:
         """Decides from outputs k, and publishes the decision."""
         assert self._agent is not None
         self._finish()
@@ -297,10 +298,10 @@ class ControllerNode(ManagedNode):
         limited = decision.result is not None and decision.result.limited
         self.deadline_misses += self._health.sample(self._gap, time.monotonic() - self._arrived, limited)
         self._unfinished = (msg, decision)
-        if self._info.lockstep or self.executor is None:
+        if self._info.lockstep:
             self._finish()
         else:  # a plant in the same process takes its inputs first
-            self.executor.create_task(self.guarded(lambda _: self._finish()), None)
+            self.later(self._finish)
 
     def _finish(self) -> None:
         """What follows a command: the state, and the preparation of the next step. Comes before anything else does."""
@@ -310,9 +311,9 @@ class ControllerNode(ManagedNode):
         self._publish_state(outputs, decision)
         self._agent.prepare()
 
-    def _clock_jumped(self, msg: Sample) -> bool:
+    def _clock_jumped(self, msg: Reading) -> bool:
         """Whether the sampling instants do not fit their numbers: then nobody knows how much time passed between."""
-        now, before = nanoseconds(msg.header.stamp), self._stamp
+        now, before = msg.time_ns, self._stamp
         self._stamp = now
         if self._info.lockstep or not (now and before):
             return False
@@ -347,19 +348,19 @@ class ControllerNode(ManagedNode):
         decision = self._agent.overdue(k)
         if decision.u is not None:
             self._send(k + self._agent.settings.s, decision.u)
-        blank = sample(self._info.name, self._info.epoch, k, np.empty(0), self._t0 + k * self._period)
+        blank = Reading(self._t0 + k * self._period, self._info.name, self._info.epoch, k, (), (), 0, 0)
         self._publish_state(blank, decision, overdue=True)
 
     def _send(self, k: int, u: np.ndarray) -> None:
         assert self._inputs is not None
         time_ns = self._t0 + k * self._period
-        self._inputs.publish(sample(self._info.name, self._info.epoch, k, u, time_ns, sender=self._holder.id))
+        self._inputs.publish(pack(self._info.name, self._info.epoch, k, u, time_ns, sender=self._holder.id))
 
     def _refuse(self, reason: str) -> None:
         self.refused += 1
         self.get_logger().warning(f"refused {reason}", throttle_duration_sec=5.0)
 
-    def _publish_state(self, outputs: Sample, decision: Decision, *, overdue: bool = False) -> None:
+    def _publish_state(self, outputs: Reading, decision: Decision, *, overdue: bool = False) -> None:
         assert self._agent is not None
         assert self._state is not None
         msg = state_message(self._agent, decision)

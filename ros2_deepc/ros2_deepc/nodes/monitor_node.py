@@ -7,14 +7,14 @@ import json
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from deepc_msgs.msg import Change, MonitorReport, PlantInfo, Sample
+from deepc_msgs.msg import Change, MonitorReport, PlantInfo
 from deepc_msgs.msg import Indicator as IndicatorMsg
 from deepc_msgs.msg import Verdict as VerdictMsg
 from rcl_interfaces.msg import SetParametersResult
@@ -30,6 +30,7 @@ from ..ros.diagnostics import OK, WARN, Diagnostics
 from ..ros.lifecycle import ManagedNode
 from ..ros.parameters import ConfigError, Param
 from ..ros.run import run_node
+from ..ros.wire import Reading
 
 PARAMETERS_CHANGED = "parameters"
 PARAMETERS = (
@@ -156,8 +157,12 @@ class MonitorNode(ManagedNode):
         self._follows = 0  # whom the plant follows, as far as it has said
         self._live = make_live(self.p, info)
         if fresh:
-            self.subscribe(topics.INPUTS, self._on_inputs, lockstep=bool(info.lockstep))
-            self.subscribe(topics.OUTPUTS, self._on_outputs, lockstep=bool(info.lockstep))
+            for topic, take in ((topics.INPUTS, self._on_inputs), (topics.OUTPUTS, self._on_outputs)):
+                self.subscribe(topic, take if info.lockstep else self._after_the_loop(take), lockstep=info.lockstep)
+
+    def _after_the_loop(self, take: Callable[[Reading], None]) -> Callable[[Reading], None]:
+        """In real time a controller and a plant in the same process go first; the order of the samples stays."""
+        return lambda msg: self.later(lambda: take(msg), turns=2)
 
     def _on_change(self, changed: list[Any]) -> SetParametersResult:
         """Parameters that may change while running are checked together and applied at the next outputs."""
@@ -189,14 +194,14 @@ class MonitorNode(ManagedNode):
         self._record.publish(note)
         self.get_logger().info(f"from outputs {k} on: " + ", ".join(f"{name} = {wanted[name]}" for name in wanted))
 
-    def _on_inputs(self, msg: Sample) -> None:
+    def _on_inputs(self, msg: Reading) -> None:
         if self._follows and msg.sender not in (0, self._follows):
             return  # of a controller that the plant does not follow
         if self._accepts(msg, len(self._info.input_names)):
             assert self._live is not None
             self._analyse(self._live.input(int(msg.k), msg.values))
 
-    def _on_outputs(self, msg: Sample) -> None:
+    def _on_outputs(self, msg: Reading) -> None:
         assert self._live is not None
         if self._accepts(msg, len(self._info.output_names), self._live.newest):
             self._follows = int(msg.sender) or self._follows
@@ -206,7 +211,7 @@ class MonitorNode(ManagedNode):
             if self._indicator is not None:
                 self._indicate(msg)
 
-    def _accepts(self, msg: Sample, size: int, newest: int = -1) -> bool:
+    def _accepts(self, msg: Reading, size: int, newest: int = -1) -> bool:
         reason = refusal(msg, size)
         if not reason and msg.epoch != self._info.epoch:
             reason = f"epoch {msg.epoch} instead of {self._info.epoch}"
@@ -241,7 +246,7 @@ class MonitorNode(ManagedNode):
                 self._close_log()
         self._tell(live)
 
-    def _indicate(self, outputs: Sample) -> None:
+    def _indicate(self, outputs: Reading) -> None:
         assert self._live is not None
         started = time.process_time()
         seen = self._live.indicator()

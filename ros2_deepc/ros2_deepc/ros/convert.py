@@ -41,7 +41,7 @@ def sample(
 
 
 def refusal(msg: Sample, size: int) -> str:
-    """Why the values of a sample cannot be used, in one line; empty if they can."""
+    """Why the values of a sample, or of a `wire.Reading` of one, cannot be used, in one line; empty if they can."""
     if len(msg.values) != size:
         return f"{len(msg.values)} values where {size} are expected"
     for i, value in enumerate(msg.values):

@@ -13,12 +13,14 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from typing import Any, ClassVar, TypeVar
 
+from deepc_msgs.msg import Sample
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from .parameters import ConfigError, Param, declare
 from .publisher import PatientPublisher
 from .qos import profile
 from .topics import Topic
+from .wire import reading
 
 Message = TypeVar("Message")
 
@@ -74,11 +76,13 @@ class ManagedNode(LifecycleNode):
     def subscribe(self, topic: Topic, callback: Callable[[Any], None], *, lockstep: bool = True) -> None:
         """Subscribes until cleanup; the callback runs only while the node is active.
 
-        What is kept for late readers comes again at every activation, as to a node that has just been started.
+        What is kept for late readers comes again at every activation, as to a node that has just been started. Samples
+        of the loop come as `wire.Reading`.
         """
         qos = profile(topic, lockstep=lockstep)
         run = self._keeping(callback, topic.depth) if topic.latched else self.guarded(callback)
-        subscription = self.create_subscription(topic.type, topic.name, run, qos)
+        raw = topic.type is Sample and not topic.latched
+        subscription = self.create_subscription(topic.type, topic.name, reading(run) if raw else run, qos, raw=raw)
         self.resources.callback(self.destroy_subscription, subscription)
 
     def advertise(
@@ -88,6 +92,20 @@ class ManagedNode(LifecycleNode):
         publisher = PatientPublisher(self, topic, lockstep=lockstep, sample_time=sample_time, readers=readers)
         self.resources.callback(publisher.destroy)
         return publisher
+
+    def later(self, work: Callable[[], None], turns: int = 1) -> None:
+        """Does work once the messages that wait for the executor now have been handled.
+
+        Args:
+            work: done only if the node is still active then; its exceptions end in ``on_fault``.
+            turns: how many times to go to the end of the queue: 1 lets readers of a message just published go first,
+                2 also the readers of their answers.
+        """
+        if self.executor is None:
+            self.guarded(lambda _: work())(None)
+            return
+        again = (lambda: self.later(work, turns - 1)) if turns > 1 else work
+        self.executor.create_task(self.guarded(lambda _: again()), None)
 
     def on_fault(self, error: Exception) -> None:
         """An exception escaped a callback: says so and deactivates."""
