@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console
 
 from .bags.reader import BagReader
-from .bags.run import load_run
+from .bags.recording import Recording
 from .bags.summary import summarize
 from .dashboard import Dashboard
 from .nodes.config import Parameters, merged, node_class, text_of, validate
@@ -186,7 +186,8 @@ def explained(parameters: Parameters, folder: Path) -> Parameters:
 def _harvest(out: Path) -> dict[str, Any]:
     """Figure and summary, from the bag alone."""
     reader = BagReader(out / "bag")
-    summary = summarize(load_run(reader))
+    with Recording(reader) as recording:
+        summary = summarize(recording)
     (out / FIGURE).write_bytes(next(a.data for a in reader.attachments() if a.name == FIGURE))
     (out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     return summary

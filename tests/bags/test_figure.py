@@ -11,14 +11,15 @@ from matplotlib.image import imread
 
 from ros2_deepc.bags import load_run
 from ros2_deepc.bags.figure import _fill, draw
-from ros2_deepc.bags.stretches import stretches, thin
+from ros2_deepc.bags.stretches import Strip, thin
+from ros2_deepc.bags.trends import Trends
 
 
 def words(run) -> set[str]:
     """All text in the picture of a run."""
     figure = Figure(figsize=(12.8, 7.2))
     FigureCanvasAgg(figure)
-    _fill(figure, run, "")
+    _fill(figure, Trends.of(run))
     figure.canvas.draw()
     return {t.get_text() for t in figure.findobj(lambda a: hasattr(a, "get_text") and a.get_visible())}
 
@@ -66,9 +67,12 @@ def test_faults_have_a_picture(make, tmp_path):
     assert any("2 epochs" in t for t in found)
 
 
-def test_stretches():
-    assert stretches(np.array([])) == []
-    assert stretches(np.array([1, 1, 2, 1])) == [(0, 2, 1), (2, 3, 2), (3, 4, 1)]
+def test_strip():
+    x = np.arange(4.0)
+    strip = Strip(4, [1, 2])
+    assert strip.runs(4.0) == []
+    strip.add(x, np.array([1, 1, 2, 1]), ["a", "b", "c", "d"])
+    assert strip.runs(4.0) == [(0, 2, 1, "b"), (2, 3, 2, "c"), (3, 4, 1, "d")]
 
 
 def test_thin_keeps_extremes_ends_and_gaps():

@@ -16,9 +16,10 @@ from rcl_interfaces.msg import Log
 
 from ros2_deepc.bags import BagError, BagReader, BagWriter, load_run
 from ros2_deepc.bags.convert import to_cdr, type_name
-from ros2_deepc.bags.panels import events, page_data
+from ros2_deepc.bags.panels import page_data
 from ros2_deepc.bags.report import write_report
 from ros2_deepc.bags.spoken import spoken
+from ros2_deepc.bags.trends import Trends
 
 VOID = {"meta", "link", "br"}
 
@@ -80,7 +81,7 @@ def test_data_in_the_page_is_the_run(faulty, tmp_path):
     text = (tmp_path / "r.html").read_text()
     data = json.loads(re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)[1])
     run = load_run(faulty)
-    assert data == json.loads(json.dumps(page_data(run)))
+    assert data == json.loads(json.dumps(page_data(Trends.of(run))))
     y = next(line for line in data["panels"][0]["lines"] if line["name"] == "a<b>")
     np.testing.assert_allclose(y["y"], run.y[:, 0], rtol=1e-6, atol=1e-12)
     inputs = next(p for p in data["panels"] if p["title"].startswith("inputs"))
@@ -92,7 +93,7 @@ def test_data_in_the_page_is_the_run(faulty, tmp_path):
 
 
 def test_events_are_in_order_and_where_they_happened(faulty):
-    found = events(load_run(faulty))
+    found = Trends.of(load_run(faulty)).events.first
     assert [k for _, k, _, _ in found] == sorted(k for _, k, _, _ in found)
     assert (0, 60, pytest.approx(6.0), "mode controlling") in found
     assert (0, 90, pytest.approx(9.0), "reference changes") in found
@@ -171,4 +172,4 @@ def test_browser_draws_it_without_a_word_on_the_console(faulty, tmp_path):
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=100)
     assert "CONSOLE" not in done.stderr
-    assert done.stdout.count("<canvas") == len(page_data(load_run(faulty))["panels"])
+    assert done.stdout.count("<canvas") == len(page_data(Trends.of(load_run(faulty)))["panels"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from ros2_deepc.bags.run import load_run
+from ros2_deepc.bags import load_run
 from ros2_deepc.control.loop import run_loop
 from ros2_deepc.demo import Options, run
 from ros2_deepc.nodes.config import load, merged, node_class, shipped

@@ -4,9 +4,10 @@
 
 from .errors import BagError
 from .reader import BagReader
+from .recording import Recording, load_run
 from .replay import replay
-from .run import Run, load_run
+from .run import Run
 from .summary import summarize
 from .writer import BagWriter
 
-__all__ = ["BagError", "BagReader", "BagWriter", "Run", "load_run", "replay", "summarize"]
+__all__ = ["BagError", "BagReader", "BagWriter", "Recording", "Run", "load_run", "replay", "summarize"]

@@ -16,7 +16,7 @@ from .messages import Messages
 from .outline import Block
 from .progress import Progress, no_progress
 from .reader import BagReader, bag_files
-from .run import find_namespace
+from .recording import find_namespace
 from .scan import Damage
 from .topic import TopicInfo
 from .walk import Walked, walk

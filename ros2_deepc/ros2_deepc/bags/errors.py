@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one exception of the bag code."""
 
+import os
+from pathlib import Path
+
 
 class BagError(OSError):
     """A bag cannot be written or read; the message is one line that says what, where and what to do."""
@@ -14,3 +17,15 @@ def why(error: BaseException) -> str:
     """Returns the plain reason of an operating-system error ("No space left on device") or the error's own text."""
     text = (getattr(error, "strerror", None) or str(error) or type(error).__name__).strip()
     return text.splitlines()[0]
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Writes a text file.
+
+    Raises:
+        BagError: if it cannot be written.
+    """
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BagError(f"cannot write {path}: {why(error)}") from error

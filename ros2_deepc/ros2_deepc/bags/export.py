@@ -1,25 +1,47 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
-"""A run as a table: CSV, Parquet, or a picture."""
+"""A run as a table (CSV, Parquet), a picture, or its numbers (JSON)."""
 
 import csv
+import json
 import os
+from collections.abc import Iterator
+from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import BagError, why
+from .errors import BagError, why, write_text
+from .figure import draw
+from .progress import Progress, no_progress
+from .recording import Recording
 from .run import MODES, NO_MODE, PROPERTIES, VERDICTS, Run
+from .summary import Summary
+from .trends import Trends
+
+Column = list[str] | NDArray[np.generic]
+_PICTURES = (".png", ".svg", ".pdf")
 
 
-def columns(run: Run) -> dict[str, list[object] | NDArray[np.generic]]:
-    """The run column by column, each of length K: epoch, k, t, outputs, references, inputs, mode, solve time, verdicts.
+def columns(run: Run | Recording) -> Iterator[dict[str, Column]]:
+    """The run by columns, stretch by stretch: epoch, k, t, outputs, references, inputs, mode, solve time, verdicts.
 
     Names carry the unit: "x1 [rad/s]". A verdict is the last one reported up to the sample; empty before the first.
     """
-    table: dict[str, list[object] | NDArray[np.generic]] = {"epoch": run.epoch, "k": run.k, "t [s]": run.t}
+    said = [""] * len(PROPERTIES)  # at the end of the stretch before
+    for stretch in run.stretches():
+        table, reports = _samples(stretch), stretch.reports
+        last = np.searchsorted(reports.row, stretch.first + np.arange(len(stretch)), side="right")
+        for j, name in enumerate(PROPERTIES):
+            words = [said[j], *(VERDICTS[verdict] for verdict in reports.verdict[:, j])]
+            said[j], table[name] = words[-1], [words[row] for row in last]
+        yield table
+
+
+def _samples(run: Run) -> dict[str, Column]:
+    table: dict[str, Column] = {"epoch": run.epoch, "k": run.k, "t [s]": run.t}
     for i, (name, unit) in enumerate(zip(run.output_names, run.output_units, strict=True)):
         table[_titled(name, unit)] = run.y[:, i]
         table[_titled(f"{name} reference", unit)] = run.ref[:, i]
@@ -27,19 +49,17 @@ def columns(run: Run) -> dict[str, list[object] | NDArray[np.generic]]:
         table[_titled(name if _titled(name, unit) not in table else f"{name} input", unit)] = run.u[:, i]
     table["mode"] = [MODES[m] if m != NO_MODE else "" for m in run.mode]
     table["solve_time [s]"] = run.solve_time
-    last = np.searchsorted(run.reports.t, run.t, side="right") - 1
-    for j, name in enumerate(PROPERTIES):
-        table[name] = [VERDICTS[run.reports.verdict[row, j]] if row >= 0 else "" for row in last]
     return table
 
 
-def export(run: Run, path: str | os.PathLike[str]) -> None:
-    """Writes a run as a table or picture.
+def export(run: Run | Recording, path: str | os.PathLike[str], *, progress: Progress = no_progress) -> None:
+    """Writes a run as a table, a picture, or its summary; for a ``Recording``, memory does not grow with its length.
 
     Args:
         run: the run.
         path: its ending says the format: .csv (floats that read back to the same bits), .parquet (needs pyarrow), .png,
-            .svg or .pdf.
+            .svg or .pdf, .json.
+        progress: called now and then with samples done and in all.
 
     Raises:
         BagError: for another ending, a missing pyarrow, or a file that cannot be written.
@@ -47,49 +67,63 @@ def export(run: Run, path: str | os.PathLike[str]) -> None:
     ending = Path(path).suffix.lower()
     try:
         if ending == ".csv":
-            _csv(run, Path(path))
+            _csv(run, Path(path), progress)
         elif ending == ".parquet":
-            _parquet(run, Path(path))
-        elif ending in (".png", ".svg", ".pdf"):
-            from .figure import draw
-
-            draw(run, path)
+            _parquet(run, Path(path), progress)
+        elif ending in _PICTURES:
+            draw(Trends.of(run, progress), path)
+        elif ending == ".json":
+            write_text(path, json.dumps(_summed(run, progress), indent=2) + "\n")
         else:
             raise BagError(
-                f"cannot export to {Path(path).name}: the name must end in .csv, .parquet, .png, .svg or .pdf"
+                f"cannot export to {Path(path).name}: the name must end in .csv, .parquet, .png, .svg, .pdf or .json"
             )
     except OSError as error:
         raise error if isinstance(error, BagError) else BagError(f"cannot write {path}: {why(error)}") from error
 
 
-def _csv(run: Run, path: Path) -> None:
-    table = columns(run)
+def _csv(run: Run | Recording, path: Path, progress: Progress) -> None:
+    done = 0
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(table)
-        for row in zip(*(_plain(column) for column in table.values()), strict=True):
-            writer.writerow(row)
+        for table in columns(run):
+            if not done:
+                writer.writerow(table)
+            writer.writerows(zip(*(_plain(column) for column in table.values()), strict=True))
+            done += len(table["k"])
+            progress(done, len(run))
 
 
-def _plain(column: list[object] | NDArray[np.generic]) -> list[object]:
+def _plain(column: Column) -> list[object]:
     """Python values, empty for NaN; repr of a float reads back to the same bits."""
     values = column.tolist() if isinstance(column, np.ndarray) else column
     return ["" if isinstance(v, float) and v != v else v for v in values]
 
 
-def _parquet(run: Run, path: Path) -> None:
+def _parquet(run: Run | Recording, path: Path, progress: Progress) -> None:
     try:
         pa, pq = import_module("pyarrow"), import_module("pyarrow.parquet")
     except ImportError:
         raise BagError("Parquet needs pyarrow: pip install pyarrow") from None
-    facts = {
-        "plant": run.plant,
-        "variant": run.variant,
-        "sample_time": repr(run.sample_time),
-        "loop_hash": run.loop_hash,
-    }
-    table = pa.table(columns(run))
-    pq.write_table(table.replace_schema_metadata({**facts, **run.metadata}), path)
+    first = next(iter(run.stretches()))
+    facts = {"plant": first.plant, "variant": first.variant, "sample_time": repr(first.sample_time)}
+    facts |= {"loop_hash": str(_summed(run, no_progress)["loop_hash"]), **first.metadata}
+    done, file = 0, None
+    with ExitStack() as opened:
+        for table in columns(run):
+            block = pa.table(table).replace_schema_metadata(facts)
+            file = file or opened.enter_context(pq.ParquetWriter(path, block.schema))
+            file.write_table(block)
+            done += len(block)
+            progress(done, len(run))
+
+
+def _summed(run: Run | Recording, progress: Progress) -> dict[str, object]:
+    summary = Summary()
+    for stretch in run.stretches():
+        summary.add(stretch)
+        progress(stretch.first + len(stretch), len(run))
+    return summary.result()
 
 
 def _titled(name: str, unit: str) -> str:

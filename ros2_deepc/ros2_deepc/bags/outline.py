@@ -161,12 +161,14 @@ class Block:
 
     Attributes:
         log_time: [ns], shape (n,).
+        last: bytes of the last message.
         bad: row and reason of each message that cannot be decoded; such rows are missing in every column.
     """
 
     def __init__(self, messages: Messages, outlines: Outliner) -> None:
         self._n = len(messages)
         self.log_time = messages.log_time
+        self.last = next((data for *_, data in messages.rows(np.array([-1]))), b"") if self._n else b""
         self.bad: list[tuple[int, str]] = []
         self._groups = list(self._grouped(messages, outlines))
 

@@ -7,33 +7,30 @@ from typing import Any
 
 import numpy as np
 
-from .figure import sample_axis, verdict_words
-from .run import MODES, NO_MODE, PROPERTIES, VERDICTS, Array, Run
-from .stretches import stretches, thin
+from .figure import axis_label, modes, verdict_words
+from .run import PROPERTIES, VERDICTS, Array
 from .style import INPUTS, MODE, OUTPUT, PROPERTY, REFERENCE, VERDICT
+from .trends import MAX_LINES, Trends
 
-MAX_LINES = 8  # in one panel
+ALONE = 8  # outputs with a panel of their own
 
 
-def page_data(run: Run) -> dict[str, Any]:
+def page_data(trends: Trends) -> dict[str, Any]:
     """Panels, bands and looks of a run; numbers with seven digits, at most some 4000 points a line."""
-    x, label = sample_axis(run)
-    panels = [*_output_panels(run, x), _input_panel(run, x)]
-    panels += [
-        p for p in (_verdict_panel(run, x), _solve_panel(run, x), _data_panel(run, x), _steady_panel(run, x)) if p
-    ]
+    panels = [*_output_panels(trends), _input_panel(trends)]
+    rest = (_verdict_panel(trends), _solve_panel(trends), _data_panel(trends), _steady_panel(trends))
     return {
-        "range": [float(x[0]), float(x[-1] + 1)],
-        "label": label,
-        "bands": [[a, b, MODE[m].fill] for a, b, m in _modes(run, x) if MODE[m].fill != "#ffffff"],
+        "range": [trends.start, trends.end],
+        "label": axis_label(trends.run),
+        "bands": [[a, b, MODE[m].fill] for a, b, m in modes(trends) if MODE[m].fill != "#ffffff"],
         "looks": {k: {"word": v.word, "fill": v.fill, "text": v.text} for k, v in (VERDICT | MODE).items()},
-        "panels": panels,
+        "panels": panels + [panel for panel in rest if panel],
     }
 
 
-def _line(name: str, x: Array, y: Array, color: str, **options: Any) -> dict[str, Any]:
-    xs, ys = thin(x, y)
-    line = {"name": name, "x": numbers(xs), "y": numbers(ys), "color": color, "width": 1.5, "dash": [], "step": False}
+def _line(name: str, points: tuple[Array, Array], color: str, **options: Any) -> dict[str, Any]:
+    x, y = points
+    line = {"name": name, "x": numbers(x), "y": numbers(y), "color": color, "width": 1.5, "dash": [], "step": False}
     return line | {"dots": False} | options
 
 
@@ -45,116 +42,81 @@ def _titled(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def _output_panels(run: Run, x: Array) -> list[dict[str, Any]]:
-    panels = []
-    for i, name in enumerate(run.output_names[:MAX_LINES]):
-        lines = [_line(name, x, run.y[:, i], OUTPUT, width=1.8)]
-        if np.isfinite(run.ref[:, i]).any():
-            lines.insert(0, _line("reference", x, run.ref[:, i], REFERENCE, dash=[5, 3], step=True, width=1.2))
-        panels.append(_panel(_titled(name, run.output_units[i]), lines))
-    if len(run.output_names) > MAX_LINES:
-        rest = range(MAX_LINES, min(3 * MAX_LINES, len(run.output_names)))
-        lines = [_line(run.output_names[i], x, run.y[:, i], INPUTS[i % len(INPUTS)]) for i in rest]
-        panels.append(_panel("further outputs", lines))
+def _shown(what: str, channels: int) -> str:
+    return what if channels <= MAX_LINES else f"{what} (the first {MAX_LINES} of {channels})"
+
+
+def _output_panels(trends: Trends) -> list[dict[str, Any]]:
+    panels, names = [], trends.run.output_names
+    for name, unit, y, ref in zip(names, trends.run.output_units, trends.y[:ALONE], trends.ref, strict=False):
+        lines = [_line(name, y.points(), OUTPUT, width=1.8)]
+        if np.isfinite(ref.last):
+            lines.insert(0, _line("reference", ref.points(), REFERENCE, dash=[5, 3], step=True, width=1.2))
+        panels.append(_panel(_titled(name, unit), lines))
+    if len(names) > ALONE:
+        rest = zip(names[ALONE:], trends.y[ALONE:], strict=False)
+        lines = [_line(name, y.points(), INPUTS[i % len(INPUTS)]) for i, (name, y) in enumerate(rest, ALONE)]
+        panels.append(_panel(_shown("further outputs", len(names)), lines))
     return panels
 
 
-def _input_panel(run: Run, x: Array) -> dict[str, Any]:
+def _input_panel(trends: Trends) -> dict[str, Any]:
+    run = trends.run
     lines = [
-        _line(name, x, run.u[:, i], INPUTS[i % len(INPUTS)], step=True)
-        for i, name in enumerate(run.input_names[: 3 * MAX_LINES])
+        _line(name, u.points(), INPUTS[i % len(INPUTS)], step=True)
+        for i, (name, u) in enumerate(zip(run.input_names, trends.u, strict=False))
     ]
     units = set(run.input_units)
     limits = sorted({float(v) for v in (*run.input_min, *run.input_max) if np.isfinite(v)})
-    title = _titled("inputs, dotted: limits" if limits else "inputs", units.pop() if len(units) == 1 else "")
-    return _panel(title, lines, limits=limits[:12])
+    title = _shown("inputs", len(run.input_names)) + (", dotted: limits" if limits else "")
+    return _panel(_titled(title, units.pop() if len(units) == 1 else ""), lines, limits=limits[:12])
 
 
-def _verdict_panel(run: Run, x: Array) -> dict[str, Any] | None:
-    strips = [{"name": "mode", "parts": [[a, b, m, MODE[m].word] for a, b, m in _modes(run, x)]}]
-    reports = run.reports
-    if len(reports.k):
-        start = np.interp(reports.t, run.t, x)
-        ends = np.r_[start[1:], x[-1] + 1]
-        for j, name in enumerate(PROPERTIES):
-            parts = []
-            for a, b, verdict in stretches(reports.verdict[:, j]):
-                key = VERDICTS[verdict]
-                words = verdict_words(VERDICT[key].word, reports.lambda_star[b - 1, j], key)
-                parts.append([float(start[a]), float(ends[b - 1]), key, words])
-            strips.append(
-                {"name": PROPERTY[name].replace("controllable", "ctrl.").replace("observable", "obs."), "parts": parts}
-            )
+def _verdict_panel(trends: Trends) -> dict[str, Any] | None:
+    strips = [{"name": "mode", "parts": [[a, b, m, MODE[m].word] for a, b, m in modes(trends)]}]
+    for name, strip in zip(PROPERTIES, trends.verdicts, strict=True):
+        parts = []
+        for a, b, verdict, star in strip.runs(trends.end):
+            key = VERDICTS[verdict]
+            parts.append([a, b, key, verdict_words(VERDICT[key].word, star, key)])
+        if parts:
+            short = PROPERTY[name].replace("controllable", "ctrl.").replace("observable", "obs.")
+            strips.append({"name": short, "parts": parts})
     return {"title": "mode and verdicts", "strips": strips} if any(s["parts"] for s in strips) else None
 
 
-def _solve_panel(run: Run, x: Array) -> dict[str, Any] | None:
-    known = np.isfinite(run.solve_time)
+def _solve_panel(trends: Trends) -> dict[str, Any] | None:
+    x, y = trends.solve.points()
+    known = np.isfinite(y)
     if not known.any():
         return None
-    lines = [_line("solve", x[known], 1e3 * run.solve_time[known], OUTPUT, dots=True)]
-    return _panel("solve time [ms]", lines, height=100, zero=True)
+    line = _line("solve", (x[known], 1e3 * y[known]), OUTPUT, dots=True)
+    return _panel("solve time [ms]", [line], height=100, zero=True)
 
 
-def _data_panel(run: Run, x: Array) -> dict[str, Any] | None:
+def _data_panel(trends: Trends) -> dict[str, Any] | None:
     """Excitation and rank, have against need: the controller's where it reports, else the monitor's."""
-    if np.isfinite(run.state["rank"]).any():
-        series, at = run.state, x
-    elif len(run.reports.k):
-        series, at = run.reports.series, np.interp(run.reports.t, run.t, x)
-    else:
+    series = trends.state if np.isfinite(trends.state["rank"].last) else trends.reports
+    if not len(series["rank"].points()[0]):
         return None
     lines = []
     for name, color in (("rank", OUTPUT), ("excitation", INPUTS[1])):
-        lines.append(_line(name, at, series[name], color, step=True))
-        if np.nanmax(series[f"{name}_need"], initial=0) > 0:
-            lines.append(_line(f"{name} needed", at, series[f"{name}_need"], color, dash=[5, 3], width=1.0, step=True))
+        lines.append(_line(name, series[name].points(), color, step=True))
+        need = series[f"{name}_need"].points()
+        if np.nanmax(need[1], initial=0) > 0:
+            lines.append(_line(f"{name} needed", need, color, dash=[5, 3], width=1.0, step=True))
     return _panel("rank and order of excitation of the data", lines, height=120, zero=True)
 
 
-def _steady_panel(run: Run, x: Array) -> dict[str, Any] | None:
+def _steady_panel(trends: Trends) -> dict[str, Any] | None:
     lines = [
-        _line(name, x, run.state[key], color, step=True)
+        _line(name, trends.state[key].points(), color, step=True)
         for name, key, color in (("to steady state", "distance", OUTPUT), ("slack", "slack", INPUTS[1]))
-        if np.nanmax(np.abs(run.state[key]), initial=0) > 0
+        if np.nanmax(np.abs(trends.state[key].points()[1]), initial=0) > 0
     ]
     return (
         _panel("reference to the nearest steady state in reach; slack", lines, height=100, zero=True) if lines else None
     )
-
-
-def _modes(run: Run, x: Array) -> list[tuple[float, float, str]]:
-    edges = np.r_[x, x[-1] + 1]
-    return [(float(edges[a]), float(edges[b]), MODES[m]) for a, b, m in stretches(run.mode) if m != NO_MODE]
-
-
-def events(run: Run) -> list[tuple[int, int, float, str]]:
-    """What happened, as (epoch, k, seconds, words): modes, references, failures, missing inputs."""
-    out: list[tuple[int, Any, str]] = []
-    parts = [part for part in stretches(run.mode) if part[2] != NO_MODE]
-    out += [(a, run.k[a], f"mode {MODE[MODES[m]].word}") for a, _, m in parts]
-    out += [(a, run.k[a], f"new epoch {e}") for a, _, e in stretches(run.epoch)[1:]]
-    out += [(a, run.k[a], "reference changes") for a in _changes(run.ref)]
-    for name, words in (
-        ("failures", "optimisation failed"),
-        ("deadline_misses", "deadline missed"),
-        ("refused", "samples refused"),
-    ):
-        counts = np.nan_to_num(run.state[name])
-        grown = np.flatnonzero(np.diff(counts, prepend=0) > 0)
-        out += [(row, run.k[row], f"{words}, {counts[row]:.0f} in all") for row in grown[:50]]
-    missing = np.flatnonzero(np.isnan(run.u).any(axis=1)) if run.u.shape[1] else np.array([], int)
-    out += [(row, run.k[row], "input not recorded") for row in missing[:50]]
-    return [
-        (int(run.epoch[row]), int(k), float(run.t[row]), words) for row, k, words in sorted(out, key=lambda e: e[0])
-    ]
-
-
-def _changes(ref: Array) -> list[int]:
-    known = ~np.isnan(ref).any(axis=1)
-    moved = (np.diff(np.nan_to_num(ref), axis=0) != 0).any(axis=1)
-    both = np.flatnonzero(known)
-    return [int(i) + 1 for i in np.flatnonzero(moved) if i in both and i + 1 in both][:200]
 
 
 def numbers(values: Array) -> list[float | None]:

@@ -14,7 +14,7 @@ from .errors import BagError
 from .mapping import load_signals
 from .progress import Progress, no_progress
 from .reader import BagReader
-from .run import find_namespace, load_run
+from .recording import find_namespace, load_run
 from .table import TABLES, Table
 
 Array = NDArray[np.float64]

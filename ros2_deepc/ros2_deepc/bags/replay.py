@@ -18,7 +18,7 @@ from .errors import BagError
 from .messages import Messages
 from .outline import Block
 from .reader import BagReader
-from .run import find_namespace
+from .recording import find_namespace
 from .topic import TopicInfo
 
 Array = NDArray[np.float64]

@@ -7,23 +7,25 @@ import os
 from collections.abc import Iterable, Sequence
 from html import escape
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
 from .check import Check, check
-from .errors import BagError, why
+from .errors import write_text
+from .events import Events
 from .figure import seconds
-from .panels import events, page_data
+from .panels import page_data
 from .progress import Progress, no_progress
 from .reader import BagReader
-from .run import PROPERTIES, VERDICTS, Run, load_run
+from .recording import Recording
+from .run import PROPERTIES, VERDICTS, Reports, Run
 from .spoken import spoken
 from .style import PROPERTY, VERDICT
-from .summary import summarize
+from .trends import Trends
 
+PHASES = 12  # errors in one cell at most
 SPOKEN = 200  # warnings and errors shown at most
 SETTINGS = "settings.yaml"  # attachment with the parameters of the run, by node
 
@@ -35,13 +37,13 @@ def write_report(
     namespace: str | None = None,
     progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Writes the report of a bag.
+    """Writes the report of a bag; memory does not grow with its length.
 
     Args:
         bag: folder or file.
         out: the HTML file.
         namespace: of the plant; default the only one.
-        progress: called now and then with messages done and in all; every message is read twice.
+        progress: called now and then with what is done and what there is in all.
 
     Returns:
         The summary, see ``summarize``.
@@ -50,21 +52,24 @@ def write_report(
         BagError: if the bag cannot be read or the file cannot be written.
     """
     reader = BagReader(bag)
-    run = load_run(reader, namespace, progress=lambda done, total: progress(done, 2 * total))
-    summary = summarize(run)
-    checked = check(bag, progress=lambda done, total: progress(total + done, 2 * total))
-    page = _page(run, reader, summary, checked)
-    try:
-        Path(out).write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise BagError(f"cannot write {out}: {why(error)}") from error
+    total = max(reader.message_count, 1)
+
+    def third(number: int) -> Progress:
+        return lambda done, of: progress(round(total * (number + done / max(of, 1))), 3 * total)
+
+    with Recording(reader, namespace, progress=third(0)) as recording:
+        trends = Trends.of(recording, third(1))
+    summary = trends.summary.result()
+    checked = check(bag, progress=third(2))
+    page = _page(trends, reader, summary, checked)
+    write_text(out, page)
     return summary
 
 
-def _page(run: Run, reader: BagReader, summary: dict[str, Any], checked: Check) -> str:
-    here = files(__package__)
+def _page(trends: Trends, reader: BagReader, summary: dict[str, Any], checked: Check) -> str:
+    here, run = files(__package__), trends.run
     title = " · ".join(filter(None, (run.plant or "run", run.variant)))
-    data = json.dumps(page_data(run), separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
+    data = json.dumps(page_data(trends), separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
     return f"""<!doctype html>
 <html lang="en">
 <head>
@@ -79,17 +84,17 @@ def _page(run: Run, reader: BagReader, summary: dict[str, Any], checked: Check) 
 <h1>{escape(title)}</h1>
 <p class="facts">{_facts(run, summary)}</p>
 {_warnings(checked)}
-<div class="cards">{_cards(run, summary)}</div>
+<div class="cards">{_cards(trends.reports_at_end, summary)}</div>
 <h2>The run</h2>
 <p class="hint">Drag to zoom, double-click for all, point to read values. Shaded: the controller is not in control.</p>
 <noscript>The plots need JavaScript; the tables below do not.</noscript>
 <div id="panels"></div>
 <div class="columns">
 <div><h2>Outputs</h2>{_outputs(run, summary)}</div>
-<div><h2>Verdicts at the end</h2>{_verdicts(run)}</div>
+<div><h2>Verdicts at the end</h2>{_verdicts(trends.reports_at_end)}</div>
 </div>
 <div class="columns">
-<div><h2>Events</h2>{_events(run)}</div>
+<div><h2>Events</h2>{_events(trends.events)}</div>
 <div><h2>Warnings and errors of the nodes</h2>{_spoken(reader)}</div>
 </div>
 <div class="columns">
@@ -105,7 +110,7 @@ def _page(run: Run, reader: BagReader, summary: dict[str, Any], checked: Check) 
 
 
 def _facts(run: Run, summary: dict[str, Any]) -> str:
-    parts = [f"{len(run)} samples"]
+    parts = [f"{run.total} samples"]
     if not np.isnan(run.sample_time):
         parts.append(f"one every {seconds(run.sample_time)}")
     if summary["seed"] is not None:
@@ -118,11 +123,11 @@ def _warnings(checked: Check) -> str:
     return "".join(f'<p class="warn">{escape(f.where)}: {escape(f.text)}</p>' for f in errors[:10])
 
 
-def _cards(run: Run, summary: dict[str, Any]) -> str:
+def _cards(reports: Reports, summary: dict[str, Any]) -> str:
     cards = []
-    if len(run.reports.k):
+    if len(reports.k):
         for j, name in enumerate(PROPERTIES):
-            look = VERDICT[VERDICTS[run.reports.verdict[-1, j]]]
+            look = VERDICT[VERDICTS[reports.verdict[-1, j]]]
             fill = look.fill if look.fill != "#ffffff" else "#9aa0a6"
             cards.append(
                 f'<div class="card light" style="--look:{fill}"><b>{look.word}</b><span>{PROPERTY[name]}</span></div>'
@@ -161,12 +166,13 @@ def _outputs(run: Run, summary: dict[str, Any]) -> str:
     rows = []
     for name, unit in zip(run.output_names, run.output_units, strict=True):
         values = summary["outputs"][name]
-        rows.append([name, unit, ", ".join(map(_text, values["rmse"])), values["peak_to_peak"]])
+        rmse, more = values["rmse"][:PHASES], len(values["rmse"]) - PHASES
+        words = ", ".join(map(_text, rmse)) + (f" and {more} more" if more > 0 else "")
+        rows.append([name, unit, words, values["peak_to_peak"]])
     return _table(["output", "unit", "RMSE at the end of each reference", "peak to peak in control"], rows, (2, 3))
 
 
-def _verdicts(run: Run) -> str:
-    reports = run.reports
+def _verdicts(reports: Reports) -> str:
     if not len(reports.k):
         return "<p>No monitor was recorded.</p>"
     rows = []
@@ -177,10 +183,9 @@ def _verdicts(run: Run) -> str:
     return _table(["property", "verdict", "margin", "why"], rows)
 
 
-def _events(run: Run) -> str:
-    found = events(run)
-    rows = [[epoch, k, seconds(t), words] for epoch, k, t, words in found[:300]]
-    more = f"<p>and {len(found) - 300} more</p>" if len(found) > 300 else ""
+def _events(events: Events) -> str:
+    rows = [[epoch, k, seconds(t), words] for epoch, k, t, words in events.first]
+    more = f"<p>and {events.count - len(rows)} more</p>" if events.count > len(rows) else ""
     return _table(["epoch", "k", "time", "what"], rows, (0, 1, 2), "narrow") + more if rows else "<p>None.</p>"
 
 

@@ -3,7 +3,6 @@
 
 """Commands that work on a recorded bag: report, check, export, layout."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -12,14 +11,12 @@ from rich.console import Console
 
 from ..bags.check import check as check_bag
 from ..bags.check import repair
-from ..bags.errors import BagError
+from ..bags.errors import BagError, write_text
 from ..bags.export import export as export_run
-from ..bags.figure import draw
 from ..bags.layouts import foxglove, panels, plotjuggler
 from ..bags.reader import BagReader
+from ..bags.recording import Recording, find_namespace
 from ..bags.report import write_report
-from ..bags.run import find_namespace, load_run
-from ..bags.summary import summarize
 from .bar import bar
 from .demo import print_summary
 
@@ -73,15 +70,10 @@ def export(
     """
     console = Console()
     with bar(console, "reading") as progress:
-        run = load_run(bag, namespace, progress=progress)
-    kind = out.suffix.lower()
-    if kind == ".png":
-        draw(run, out)
-    elif kind == ".json":
-        out.write_text(json.dumps(summarize(run), indent=2) + "\n", encoding="utf-8")
-    else:
-        export_run(run, out)
-    console.print(f"{len(run)} samples: {out}", soft_wrap=True)
+        recording = Recording(bag, namespace, progress=progress)
+    with recording, bar(console, "writing") as progress:
+        export_run(recording, out, progress=progress)
+    console.print(f"{len(recording)} samples: {out}", soft_wrap=True)
 
 
 def layout(
@@ -99,6 +91,7 @@ def layout(
         raise BagError(f"--out {out}: end it in .json (Foxglove) or .xml (PlotJuggler)")
     reader = BagReader(bag)
     prefix = find_namespace(reader, namespace)
-    run = load_run(reader, namespace)
-    out.write_text(writers[out.suffix](panels(run.output_names, run.input_names), prefix), encoding="utf-8")
+    with Recording(reader, namespace) as recording:
+        run = next(recording.stretches())
+    write_text(out, writers[out.suffix](panels(run.output_names, run.input_names), prefix))
     Console().print(f"layout: {out}", soft_wrap=True)

@@ -13,8 +13,8 @@ from rich.console import Console
 
 from ..bags.figure import draw
 from ..bags.reader import BagReader
+from ..bags.recording import find_namespace, load_run
 from ..bags.replay import replay as compare
-from ..bags.run import find_namespace, load_run
 from ..bags.whatif import what_if
 from ..control import DeepcController
 from ..demo import SETTINGS

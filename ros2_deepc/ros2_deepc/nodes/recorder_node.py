@@ -120,12 +120,13 @@ class RecorderNode(ManagedNode):
         if not self.p["figure"]:
             return
         from ..bags.figure import draw  # matplotlib, only where it is asked for
-        from ..bags.run import load_run
+        from ..bags.recording import Recording
 
         writer.flush()
         with TemporaryDirectory() as folder:
             try:
-                draw(load_run(writer.folder), Path(folder) / FIGURE)
+                with Recording(writer.folder) as recording:
+                    draw(recording, Path(folder) / FIGURE)
             except OSError as error:
                 self.get_logger().warning(f"no figure: {error}")
                 return
