@@ -3,6 +3,8 @@
 
 """References over time."""
 
+from bisect import bisect_right, insort
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -13,6 +15,7 @@ class ReferenceSchedule:
     def __init__(self, p: int) -> None:
         self._p = p
         self._steps: dict[int, NDArray[np.float64]] = {}
+        self._starts: list[int] = []  # in order: a reference that moves at every sample has many
 
     def set(self, k: int, values: ArrayLike) -> None:
         """Sets the reference that holds from sample k on, shape (p,).
@@ -26,9 +29,11 @@ class ReferenceSchedule:
         if not np.isfinite(y).all():
             raise ValueError(f"the reference {y.tolist()} from sample {k} on is not finite")
         y.setflags(write=False)
+        if k not in self._steps:
+            insort(self._starts, k)
         self._steps[k] = y
 
     def at(self, k: int) -> NDArray[np.float64] | None:
         """The reference at sample k, shape (p,); None before the first one."""
-        past = [start for start in self._steps if start <= k]
-        return self._steps[max(past)] if past else None
+        past = bisect_right(self._starts, k)
+        return self._steps[self._starts[past - 1]] if past else None
