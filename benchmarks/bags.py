@@ -10,6 +10,7 @@ Exits with 1 if a claim is broken; each broken claim is printed. CPU time throug
 """
 
 import argparse
+import json
 import os
 import resource
 import signal
@@ -23,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ros2_deepc.bags import BagReader, BagWriter, load_run, replay, summarize
+from ros2_deepc.bags import BagReader, BagWriter, Recording, load_run, replay
 from ros2_deepc.bags.convert import to_cdr
 from ros2_deepc.bags.schema import message_definition
 
@@ -247,39 +248,84 @@ def loop_rate(folder: Path, recorded: bool, steps: int) -> float:
     return (steps - 150) / (times[-1] - times[149])
 
 
+LONG = {  # what is done with a long bag, each in a process of its own: samples, and CPU a sample that is claimed [us]
+    "load": (1.0, 20),
+    "report": (1.0, 40),
+    "export": (1.0, 60),
+    "monitor": (1.0, 60),
+    "controller": (0.1, 2000),
+}
+PEAK, GROWTH = 250.0, 20.0  # [MB]: for any length; and what five times the length may add
+
+
 def bench_long(folder: Path, samples: int = 1_000_000) -> Iterator[str]:
-    """A long bag: written, loaded, summed up, reported; and the monitors on it again."""
-    from ros2_deepc.bags.cores import MonitorCore
+    """Long bags: loaded, reported, exported, replayed; each in a process of its own, at two lengths."""
+    peaks: dict[str, list[float]] = {kind: [] for kind in LONG}
+    for share in (0.2, 1.0):
+        for kind, (part, claimed) in LONG.items():
+            count = round(share * part * samples)
+            write = write_loop if kind == "controller" else write_long
+            bag = folder / f"{write.__name__}{count}"
+            if not bag.exists():
+                seconds = cpu(lambda w=write, b=bag, n=count: w(b, n))
+                size = sum(f.stat().st_size for f in bag.iterdir()) / 1e6
+                yield f"long    {count} samples written in {seconds:.0f} s CPU, {size:.0f} MB"
+            command = [sys.executable, __file__, "--alone", kind, str(bag)]
+            done = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+            peaks[kind].append(done["peak"])
+            told = f"told how far it was {done['told']} times"
+            yield f"long    {count} samples: {kind:10} {done['seconds']:6.1f} s CPU, peak {done['peak']:.0f} MB, {told}"
+            if done["samples"] != count:
+                yield f"BROKEN: {kind} saw {done['samples']} of {count} samples"
+            if not done["told"]:
+                yield f"BROKEN: {kind} tells nothing while it works"
+            if done["seconds"] > 5 + 1e-6 * claimed * count:
+                yield f"BROKEN: {kind} takes more than {claimed} us a sample"
+    for kind, (short, long) in peaks.items():
+        if kind != "load" and (long > PEAK or long > short + GROWTH):
+            yield f"BROKEN: the memory of {kind} is not bounded: {short:.0f} MB, five times the length {long:.0f} MB"
+
+
+def alone(kind: str, bag: Path) -> dict[str, float]:
+    """Does one thing with a bag; seconds of CPU, peak memory [MB], samples seen, how often it told how far it was."""
+    from ros2_deepc.bags.cores import ControllerCore, MonitorCore
+    from ros2_deepc.bags.export import export
     from ros2_deepc.bags.report import write_report
     from ros2_deepc.monitors import Prior
     from ros2_deepc.monitors.live import LiveMonitor
-    from ros2_deepc.nodes.monitor_node import report_message
+    from ros2_deepc.nodes.controller_node import make_agent, state_message
 
-    yield f"long    {samples} samples written in {cpu(lambda: write_long(folder / 'long', samples)):.0f} s CPU"
-    size = sum(f.stat().st_size for f in (folder / "long").iterdir()) / 1e6
-    before, calls = peak(), [0]
-    run: list[object] = []
-    seconds = cpu(lambda: run.append(load_run(folder / "long")))
-    yield f"long    {size:.0f} MB loaded in {seconds:.1f} s CPU, peak memory {peak():.0f} MB, {before:.0f} before"
-    if len(run[0]) != samples or summarize(run[0])["steps"] != samples:
-        yield "BROKEN: samples were lost"
-    run.clear()
+    told, period = 0, 20_000
 
-    def count(done: int, total: int) -> None:
-        calls[0] += 0 < done <= total
+    def progress(done: int, total: int) -> None:
+        nonlocal told
+        told += 0 < done <= total
 
-    total = cpu(lambda: write_report(folder / "long", folder / "r.html", progress=count))
-    yield f"long    report in {total:.1f} s CPU, told how far it was {calls[0]} times, peak {peak():.0f} MB"
-    if peak() - before > 50 + 600e-6 * samples:
-        yield f"BROKEN: more than 600 bytes a sample ({peak() - before:.0f} MB)"
-    if total > 5 + 40e-6 * samples:
-        yield "BROKEN: the report takes more than 40 us a sample"
-    live = LiveMonitor(Prior(q=2, s=1, n=2), window=200, period=max(samples // 50, 1))
-    before = peak()
-    seconds = cpu(lambda: replay(folder / "long", {"monitor": lambda _: MonitorCore(live, report_message)}))
-    yield f"long    monitors replayed in {seconds:.1f} s CPU, peak {peak():.0f} MB"
-    if peak() > before + 50:
-        yield f"BROKEN: the replay needed {peak() - before:.0f} MB more"
+    def work() -> int:
+        if kind == "load":
+            return len(load_run(bag, progress=progress))
+        if kind == "report":
+            return int(write_report(bag, bag.with_suffix(".html"), progress=progress)["steps"])
+        if kind == "export":
+            with Recording(bag, progress=progress) as recording:
+                export(recording, bag.with_suffix(".csv"))
+            return sum(1 for _ in bag.with_suffix(".csv").open()) - 1
+        if kind == "monitor":
+            live = LiveMonitor(Prior(q=2, s=1, n=2), window=200, period=period)
+            reports: list[object] = []
+            replay(bag, {"monitor": lambda _: MonitorCore(live, reports.append)}, progress=progress)
+            outputs = BagReader(bag).topics[NAMES[0]].count
+            return outputs if len(reports) == outputs // period else -1
+        result = replay(
+            bag,
+            {"controller": lambda info: ControllerCore(make_agent(SETTINGS, info), state_message)},
+            progress=progress,
+        )
+        return result.compared["controller/state"] if result.same else -1
+
+    begin = time.process_time()
+    seen = work()
+    return {"seconds": time.process_time() - begin, "peak": peak(), "samples": seen, "told": told}
 
 
 def write_long(folder: Path, samples: int) -> None:
@@ -312,6 +358,45 @@ def write_long(folder: Path, samples: int) -> None:
             x = A @ x + B @ u
 
 
+SETTINGS = {"N": 3, "L": 5, "Q": [4.0], "R": [0.5], "terminal": "none", "seed": 11}
+
+
+def write_loop(folder: Path, samples: int) -> None:
+    """A stable second-order plant under the controller, with a new reference every 500 samples."""
+    from deepc_msgs.msg import PlantInfo, Sample
+
+    from ros2_deepc.nodes.controller_node import make_agent, state_message
+
+    A, B, x = np.array([[0.9, 0.1], [0.0, 0.8]]), np.array([[0.3, 0.0], [0.1, 0.5]]), np.array([1.0, -1.0])
+    info = PlantInfo(name="bench", sample_time=0.1, lockstep=True, q=2, s=1, n=2)
+    info.output_names, info.input_names, info.input_min, info.input_max = ["a", "b"], ["u", "v"], [-1.0] * 2, [1.0] * 2
+    agent = make_agent(SETTINGS, info)
+    with BagWriter(folder) as bag:
+
+        def write(name: str, message: object, k: int) -> None:
+            bag.write(f"/bench/{name}", to_cdr(message), max(k, 0) * 10**8)
+
+        for name in ("outputs", "inputs", "reference"):
+            bag.add_topic(f"/bench/{name}", SAMPLE)
+        bag.add_topic("/bench/plant_info", "deepc_msgs/msg/PlantInfo")
+        bag.add_topic("/bench/controller/state", STATE)
+        write("plant_info", info, 0)
+        for k in range(0, samples, 500):
+            values = [0.5, 0.4] if k % 1000 else [0.3, 0.2]
+            agent.references.set(k, values)
+            write("reference", Sample(k=k, values=values), 0)
+        u = agent.start()[0]
+        write("inputs", Sample(k=0, values=u.tolist()), 0)
+        for k in range(samples):
+            write("outputs", Sample(k=k, values=x.tolist()), k)
+            decision = agent.step(k, x)
+            state = state_message(agent, decision)
+            agent.prepare()
+            write("inputs", Sample(k=k + 1, values=decision.u.tolist()), k)
+            write("controller/state", state, k)
+            x, u = A @ x + B @ u, decision.u
+
+
 def main() -> int:
     """Prints the tables that are asked for; 1 if a claim is broken."""
     tables = {"write": bench_write, "read": bench_read, "record": bench_record, "loop": bench_loop, "long": bench_long}
@@ -319,7 +404,11 @@ def main() -> int:
     parser.add_argument("tables", nargs="*", choices=[*tables, []], help="default: all")
     parser.add_argument("--samples", type=int, default=1_000_000, help="of the long bag")
     parser.add_argument("--seconds", type=float, default=60.0, help="of the recording")
+    parser.add_argument("--alone", nargs=2, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
+    if chosen.alone:
+        print(json.dumps(alone(chosen.alone[0], Path(chosen.alone[1]))))
+        return 0
     options = {"record": (chosen.seconds,), "long": (chosen.samples,)}
     broken = False
     with tempfile.TemporaryDirectory() as folder:
