@@ -2,7 +2,8 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
 #
-# Installs what the gateway is tested against and nobody here wrote: mbpoll, libmodbus, tshark (Debian), node-opcua (npm).
+# Installs what the gateway is tested against and nobody here wrote: mbpoll, libmodbus, tshark (Debian), node-opcua (npm);
+# and Chromium, in which reports of runs are opened.
 # peers.sh [FOLDER]     node_modules go to FOLDER, build/peers by default; tests/gateway/test_peers.py looks there.
 set -eu
 folder=${1:-build/peers}
@@ -16,6 +17,7 @@ want mbpoll mbpoll
 want /usr/include/modbus/modbus.h libmodbus-dev
 want tshark tshark
 want gcc gcc libc6-dev
+want chromium chromium
 want node nodejs
 want npm npm
 if [ -n "$packages" ]; then

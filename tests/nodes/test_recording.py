@@ -24,6 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from ros2_deepc.bags import BagReader, provenance
 from ros2_deepc.bags.provenance import revision
+from ros2_deepc.bags.report import write_report
 from ros2_deepc.nodes.config import merged, text_of
 from ros2_deepc.nodes.stack import running
 from ros2_deepc.ros import topics
@@ -195,6 +196,15 @@ def test_others_read_every_field_of_every_message(recorded, read):
     for (topic, time, message), (raw, expected) in zip(everything, ours, strict=True):
         assert (topic, time) == (raw.topic, raw.log_time)
         assert same(message, plain(expected)), f"{topic}: {message} is not {plain(expected)}"
+
+
+def test_the_report_of_the_run_opens_in_a_browser(recorded, tmp_path, in_browser):
+    out, _ = recorded
+    write_report(out / "bag", tmp_path / "report.html")
+    for seen in in_browser(tmp_path / "report.html"):
+        assert (seen["said"], seen["wide"]) == ([], False)
+        assert len(seen["canvases"]) >= 6
+        assert min(seen["canvases"]) > 50
 
 
 def test_the_monitor_logs_its_reports(recorded):

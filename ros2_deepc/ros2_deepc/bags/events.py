@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What happened in a run, in words."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,23 +12,25 @@ from .style import MODE
 
 LISTED = 300
 _COUNTERS = {"failures": "optimisation failed", "deadline_misses": "deadline missed", "refused": "samples refused"}
-_MOST = {"reference": 200, "missing": 50, **dict.fromkeys(_COUNTERS, 50)}  # of what may happen at every sample
+_LASTING = frozenset({"reference", "missing", *_COUNTERS})  # from sample to sample: only the beginning is an event
 Event = tuple[int, int, float, str]  # epoch, k, seconds, words
 
 
 class Events:
     """Modes, epochs, references, failures, missing inputs of a run that comes in stretches, in order.
 
+    What happens at sample after sample (faults, a reference that moves) is one event, where it begins.
+
     Attributes:
         first: the first 300.
-        count: how many there are; of each kind of fault the first 50 count, of changes of the reference 200.
+        count: how many there are.
     """
 
     def __init__(self) -> None:
         self.first: list[Event] = []
         self.count = 0
-        self._counts: dict[str, int] = {}
         self._last: dict[str, Any] = {}  # row of the stretch before
+        self._goes_on: dict[str, bool] = {}
 
     def add(self, run: Run) -> None:
         """Takes the next stretch."""
@@ -39,27 +40,34 @@ class Events:
         last = self._last or start | dict.fromkeys(counts, 0.0)
         old = {name: np.concatenate([[last[name]], values[:-1]]) for name, values in now.items()}
         self._last = {name: values[-1] for name, values in now.items()}
-        moved = (run.ref != old["ref"]).any(axis=1) & ~np.isnan(run.ref + old["ref"]).any(axis=1)
-        missing = np.isnan(run.u).any(axis=1)
-
-        found: list[tuple[int, str]] = []
-        found += self._some("mode", (now["mode"] != old["mode"]) & (run.mode != NO_MODE),
-                            lambda row: f"mode {MODE[MODES[run.mode[row]]].word}")  # fmt: skip
-        found += self._some("epoch", run.epoch != old["epoch"], lambda row: f"new epoch {run.epoch[row]}")
-        found += self._some("reference", moved, lambda _: "reference changes")
-        for name, words in _COUNTERS.items():
-            found += self._some(name, counts[name] > old[name],
-                                lambda row, n=name, w=words: f"{w}, {counts[n][row]:.0f} in all")  # type: ignore[misc]  # fmt: skip
-        found += self._some("missing", missing, lambda _: "input not recorded")
+        happened = {
+            "mode": (now["mode"] != old["mode"]) & (run.mode != NO_MODE),
+            "epoch": run.epoch != old["epoch"],
+            "reference": (run.ref != old["ref"]).any(axis=1) & ~np.isnan(run.ref + old["ref"]).any(axis=1),
+            **{name: counts[name] > old[name] for name in counts},
+            "missing": np.isnan(run.u).any(axis=1),
+        }
+        found = [(row, _words(kind, run, row)) for kind, rows in happened.items() for row in self._begun(kind, rows)]
         found.sort(key=lambda event: event[0])
         room = LISTED - len(self.first)
         self.first += [(int(run.epoch[row]), int(run.k[row]), float(run.t[row]), words) for row, words in found[:room]]
 
-    def _some(self, kind: str, happened: NDArray[np.bool_], words: Callable[[int], str]) -> list[tuple[int, str]]:
-        """Rows and words of one kind, as many as count."""
-        rows = np.flatnonzero(happened)
-        known = self._counts.get(kind, 0)
-        rows = rows[: _MOST[kind] - known] if kind in _MOST else rows
-        self._counts[kind] = known + len(rows)
+    def _begun(self, kind: str, happened: NDArray[np.bool_]) -> list[int]:
+        """Rows where something begins, at most 300 of them; all are counted."""
+        if kind in _LASTING:
+            before = np.concatenate([[self._goes_on.get(kind, False)], happened[:-1]])
+            self._goes_on[kind] = bool(happened[-1])
+            happened = happened & ~before
+        rows: list[int] = np.flatnonzero(happened).tolist()
         self.count += len(rows)
-        return [(row, words(row)) for row in rows[:LISTED].tolist()]
+        return rows[:LISTED]
+
+
+def _words(kind: str, run: Run, row: int) -> str:
+    if kind == "mode":
+        return f"mode {MODE[MODES[run.mode[row]]].word}"
+    if kind == "epoch":
+        return f"new epoch {run.epoch[row]}"
+    if kind in _COUNTERS:
+        return f"{_COUNTERS[kind]}, {run.state[kind][row]:.0f} in all"
+    return {"reference": "reference changes", "missing": "input not recorded"}[kind]

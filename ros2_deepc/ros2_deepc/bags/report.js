@@ -4,9 +4,20 @@
 // Draws the panels of a run report on canvases. All panels share one x range: drag to zoom, double-click for all.
 (() => {
   const report = JSON.parse(document.getElementById("data").textContent);
-  const LEFT = 78, RIGHT = 136, TOP = 24, INK = "#1a1a1a", MUTED = "#5f6368", RULE = "#dcdfe3";
+  const LEFT = 78, RIGHT = 136, TOP = 24, dark = window.matchMedia("(prefers-color-scheme: dark)");
   const FONT = '12px "DejaVu Sans", "Segoe UI", system-ui, sans-serif';
-  let view = report.range.slice(), cursor = null, drag = null;
+  let view = report.range.slice(), cursor = null, drag = null, INK, MUTED, RULE, PAPER;
+
+  function look() {  // colours of the page, light or dark
+    const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue(name).trim();
+    [INK, MUTED, RULE, PAPER] = ["--ink", "--muted", "--rule", "--paper"].map(color);
+  }
+
+  function lit(color) {  // a line's colour that can be told from the page
+    if (!dark.matches) return color;
+    const parts = [1, 3, 5].map((i) => parseInt(color.slice(i, i + 2), 16));
+    return Math.max(...parts) < 80 ? INK : `rgb(${parts.map((v) => Math.round(v + 0.45 * (255 - v))).join(", ")})`;
+  }
 
   function ticks(low, high, count) {
     const raw = (high - low) / Math.max(count, 1), power = 10 ** Math.floor(Math.log10(raw));
@@ -58,6 +69,7 @@
   function drawBands(c, bottom) {
     clip(c);
     for (const [from, to, fill] of report.bands) {
+      c.g.globalAlpha = dark.matches ? 0.25 : 1;
       c.g.fillStyle = fill;
       c.g.fillRect(c.X(from), TOP, c.X(to) - c.X(from), bottom - TOP);
     }
@@ -66,7 +78,7 @@
 
   function drawLine(c, line, Y) {
     const g = c.g;
-    g.strokeStyle = g.fillStyle = line.color; g.lineWidth = line.width; g.setLineDash(line.dash);
+    g.strokeStyle = g.fillStyle = lit(line.color); g.lineWidth = line.width; g.setLineDash(line.dash);
     g.beginPath();
     let up = true, last = 0;
     const stop = Math.min(line.x.length, at(line, view[1]) + 2);
@@ -88,7 +100,7 @@
       while (cursor === null && i > 0 && line.y[i] === null) i -= 1;
       const y = i >= 0 ? line.y[i] : null;
       const value = y === null ? "–" : Number(y.toPrecision(5)).toString();
-      return { y: y === null ? Y.mid : Y(y), color: line.color, text: cursor === null ? line.name : `${line.name} ${value}` };
+      return { y: y === null ? Y.mid : Y(y), color: lit(line.color), text: cursor === null ? line.name : `${line.name} ${value}` };
     }).sort((a, b) => a.y - b.y);
     let place = -Infinity;
     for (const end of ends) {
@@ -154,11 +166,12 @@
       clip(c);
       for (const [from, to, look, words] of strip.parts) {
         const a = c.X(from), b = c.X(to), style = report.looks[look];
-        g.fillStyle = style.fill; g.fillRect(a, top + 1.5, b - a, row - 3);
+        const empty = style.fill === "#ffffff", pale = empty || (dark.matches && style.text === "#5f6368");
+        g.fillStyle = empty ? PAPER : pale ? RULE : style.fill; g.fillRect(a, top + 1.5, b - a, row - 3);
         g.strokeStyle = RULE; g.strokeRect(a + 0.5, top + 2, b - a - 1, row - 4);
         const left = Math.max(a, LEFT), right = Math.min(b, c.width - RIGHT);
         const text = [words, style.word].find((t) => g.measureText(t).width < right - left - 8);
-        g.fillStyle = style.text; g.textAlign = "center";
+        g.fillStyle = pale ? MUTED : style.text; g.textAlign = "center";
         if (text) g.fillText(text, (left + right) / 2, top + row / 2 + 0.5);
       }
       g.restore();
@@ -182,6 +195,7 @@
   });
 
   function draw() {
+    look();
     report.panels.forEach((panel, i) => {
       (panel.strips ? drawStrips : drawPanel)(canvases[i], panel, i === canvases.length - 1);
     });
@@ -204,5 +218,6 @@
     canvas.addEventListener("dblclick", () => { view = report.range.slice(); draw(); });
   }
   window.addEventListener("resize", draw);
+  dark.addEventListener("change", draw);
   draw();
 })();
