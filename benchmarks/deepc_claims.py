@@ -118,7 +118,7 @@ def references(solves):
     print("references: steps, not solved, largest relative distance from the best steady state in the end")
     each = 200
     for solver, (kind, share, limit) in product(
-        ("osqp", "daqp"), (("within reach", 0.6, 1e-5), ("out of reach", 3.0, 1e-3))
+        ("osqp", "daqp"), (("within reach", 0.6, 1e-5), ("out of reach", 3.0, 1e-5))
     ):
         bad, worst = 0, 0.0
         for seed in range(max(1, solves // each)):

@@ -11,7 +11,7 @@ import quadprog
 from plant_sim.random_systems import random_system
 from plant_sim.stepper import LinearStepper
 from ros2_deepc.control import DeepcController, DeepcSettings
-from ros2_deepc.control.problem import TINY
+from ros2_deepc.control.problem import CALM, TINY
 
 
 def generator(*seed):
@@ -42,33 +42,72 @@ class Truth:
         """Outputs (L, p) from the slow state and inputs (L + s - 1, m)."""
         return (self.O @ z1 + self.T @ np.ravel(inputs)).reshape(self.L, -1)
 
-    def equilibrium(self, z1, committed, last, goal, settings, calm):
-        """The same for terminal "equilibrium": the plan's last sample is the steady state that it tracks."""
-        L, (p, m), tail = self.L, self.form.D.shape, settings.tail
-        known = m * (self.form.s - 1)
+    def equilibrium(self, z1, committed, last, goal, settings):
+        """Planned inputs (L, m) for terminal "equilibrium" with rest as equality rows; None if they cannot hold.
+
+        Up to a weight of 10, rest is a square as any other. The plan's last sample is the steady state that it tracks.
+        Unknowns: the inputs up to the tail, and a slack per limited output. quadprog on the null space of the equality
+        rows.
+        """
+        L, (p, m), tail, form = self.L, self.form.D.shape, settings.tail, self.form
+        known = m * (form.s - 1)
         block = np.kron(np.eye(L - tail + 1)[np.minimum(np.arange(L), L - tail)], np.eye(m))
         G, g = self.T[:, known:] @ block, self.O @ z1 + self.T[:, :known] @ np.ravel(committed)
-        end = np.kron(np.ones((L, 1)), np.eye(p)) @ G[-p:], np.tile(g[-p:], L)
-        off, away = G - end[0], g - end[1]
-        Q, R, offset, rest = settings.Q, settings.R, settings.offset_weight, settings.terminal_weight
+        off, away = G - np.tile(G[-p:], (L, 1)), g - np.tile(g[-p:], L)
+        Q, R, offset = settings.Q, settings.R, settings.offset_weight
         pull = offset * Q * np.sum(G[-p:, -m:] ** 2) / m
-        form = self.form
-        gain = form.C1 @ np.linalg.solve(np.eye(len(form.A1)) - form.A1, form.B1) + form.markov().sum(axis=0)
-        acting = np.linalg.pinv(gain) @ gain
+        gain = form.C1 @ np.linalg.pinv(np.eye(len(form.A1)) - form.A1) @ form.B1 + form.markov().sum(axis=0)
+        acting = np.linalg.pinv(gain, rcond=1e-9) @ gain
         squares = [
             (off, away, Q),
-            (off[-p * tail :], away[-p * tail :], rest * Q),
             (G[-p:], g[-p:] - goal, offset * Q),
             (block - np.kron(np.ones((L, 1)), block[-m:]), np.zeros(m * L), R),
-            (acting @ block[-m:], -acting @ last, calm * pull),
+            (acting @ block[-m:], -acting @ last, max(CALM * pull, TINY * R)),
             ((np.eye(m) - acting) @ block[-m:], np.zeros(m), TINY * R),
         ]
-        H = sum(2 * weight * C.T @ C for C, _, weight in squares)
-        f = sum(2 * weight * C.T @ d for C, d, weight in squares)
-        n = len(f)
-        bounds = np.concatenate([np.full(n, settings.u_min), np.full(n, -settings.u_max)])
-        x = quadprog.solve_qp((H + H.T) / 2, -f, np.hstack([np.eye(n), -np.eye(n)]), bounds)[0]
-        return (block @ x).reshape(L, m)
+        rest = (off[-p * tail : -p], away[-p * tail : -p])
+        if settings.terminal_weight <= 10:
+            squares.append((*rest, settings.terminal_weight * Q))
+            rest = (rest[0][:0], rest[1][:0])
+        n, low, high = G.shape[1], np.broadcast_to(settings.y_min, p), np.broadcast_to(settings.y_max, p)
+        limited = p if np.isfinite([low, high]).any() else 0
+        price = settings.slack_weight * Q
+        H, f = np.zeros((n + limited, n + limited)), np.zeros(n + limited)
+        H[:n, :n] = sum(2 * weight * C.T @ C for C, _, weight in squares)
+        f[:n] = sum(2 * weight * C.T @ d for C, d, weight in squares)
+        H[n:, n:], f[n:] = price * np.eye(limited), price
+        slack = np.tile(np.eye(p), (L, 1))[:, :limited]
+        moves, before = block - np.vstack([np.zeros((m, n)), block[:-m]]), np.zeros(m * L)
+        before[:m] = np.clip(last, settings.u_min, settings.u_max)
+        rate = np.tile(np.broadcast_to(settings.du_max, m), L)
+        wide = np.zeros((m * L, limited))
+        rows = [  # C x >= b
+            (np.eye(n + limited)[:n], np.full(n, settings.u_min)),
+            (-np.eye(n + limited)[:n], np.full(n, -settings.u_max)),
+            (np.eye(n + limited)[n:], np.zeros(limited)),
+            (np.hstack([moves, wide]), before - rate),
+            (-np.hstack([moves, wide]), -before - rate),
+            (np.hstack([G, slack]), np.tile(low, L) - g),
+            (np.hstack([-G, slack]), g - np.tile(high, L)),
+        ]
+        C, b = np.vstack([C for C, _ in rows]), np.concatenate([b for _, b in rows])
+        E = np.hstack([rest[0], np.zeros((len(rest[0]), limited))])
+        x0 = -np.linalg.lstsq(E, rest[1], rcond=1e-9)[0]
+        if np.abs(E @ x0 + rest[1]).max(initial=0.0) > 1e-9 * max(1.0, np.abs(away).max()):
+            return None
+        _, sv, Vt = np.linalg.svd(E)
+        N = Vt[int((sv > 1e-9 * sv.max(initial=0.0)).sum()) :].T
+        reduced, keep = C @ N, np.isfinite(b)
+        trivial = np.abs(reduced).sum(axis=1) < 1e-9  # the equality rows leave them nothing to say
+        if (trivial & (C @ x0 < b - 1e-9)).any():
+            return None
+        keep &= ~trivial
+        N = np.linalg.solve(np.linalg.cholesky(N.T @ H @ N), N.T).T  # N' H N = 1: prices lie nine decades apart
+        try:
+            v = quadprog.solve_qp(np.eye(N.shape[1]), -N.T @ (f + H @ x0), (C @ N)[keep].T, (b - C @ x0)[keep])[0]
+        except ValueError:  # "constraints are inconsistent"
+            return None
+        return (block @ (x0 + N @ v)[:n]).reshape(L, m)
 
     def mpc(self, z1, committed, goal, Q, R, low, high, zero_tail=0):
         """Planned inputs (L, m) of (6.1) without data: quadprog on the model; zero_tail > 0 imposes (6.1c)."""

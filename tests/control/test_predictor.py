@@ -128,3 +128,23 @@ def test_poor_inputs_are_named(plant_form):
     short = matrix(Record(run.u[:30], run.y[:30]), sized, rows)
     with pytest.raises(PoorDataError, match="15 columns of data cannot hold 32 input rows"):
         fit(short, rows, short.shape[1], Truncation())
+
+
+@pytest.mark.parametrize("policy", ["fixed", "sliding"])
+@pytest.mark.parametrize("noise", [1e-6, 1e-3, 1e-2])
+def test_the_doubt_is_the_size_of_the_error_that_noise_makes(noise, policy, plant_form, truth, loop):
+    form = plant_form(100, feedthrough=False)
+    ratios = []
+    for seed in range(5):
+        settings = DeepcSettings(N=6, L=14, q=6, T=150, u_min=-1.0, u_max=1.0, data_policy=policy)
+        run = loop(form, settings, seed, noise=noise).collect()
+        run.controller._data.predictor()
+        predictor = run.controller._data.predictor()  # sliding: of the squared data matrix from now on
+        y_scale = np.tile(run.controller._data.scale[1], 14)[:, None]
+        u_scale = np.tile(run.controller._data.scale[0], 14)
+        exact = truth(form, 14).T * u_scale / y_scale
+        error = np.linalg.norm(predictor.G * u_scale / y_scale - exact) / np.linalg.norm(exact)
+        ratios.append(predictor.doubt / error)
+    assert 0.7 < np.median(ratios) < 2.0
+    clean = loop(form, settings, 1).collect().controller._data.predictor()
+    assert clean.doubt < 1e-7

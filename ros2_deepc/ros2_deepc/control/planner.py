@@ -13,6 +13,7 @@ from .problem import Condensed, Template, condense
 from .qp import CheckedSolver, Daqp
 from .settings import Sized
 
+RESTLESS = "no plan within the limits ends at rest: what is missing is priced"
 FEASIBLE = 1e-6  # a terminal condition missed by less than this, relative to the signals' size, holds
 
 
@@ -96,6 +97,9 @@ class _Branch:
             lower[f.size :] -= move
             upper[f.size :] -= move
         answer, which, remark = self.solver.solve(f, lower, upper)
+        if answer is None and program.rests:
+            answer, which, remark = self.solver.solve(f, *program.eased(lower, upper))
+            remark = f"{RESTLESS}; {remark}" if remark else RESTLESS
         if answer is None:
             return None, remark
         solver = self.solver.solvers[which].name

@@ -41,6 +41,7 @@ class Predictor:
         input_strength: lower bound of the smallest singular value of the input rows, per column of data.
         state_strength: smallest singular value kept of the free response, per column of data.
         precise: whether rounding is far below the weakest direction kept.
+        doubt: norm by which noise may have moved G, by what the data leave unexplained, relative to the norm of G.
     """
 
     G: Array
@@ -53,6 +54,7 @@ class Predictor:
     input_strength: float
     state_strength: float
     precise: bool
+    doubt: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +111,9 @@ def fit(W: Array, layout: Layout, columns: int, cut: Truncation) -> Predictor:
     kept = cut.keep(sv, rounding)
     rank = nu + int(np.count_nonzero(np.linalg.svd(rest, compute_uv=False) > max(rounding, cut.floor)))
     to_future = rest[nc:, :nc] @ Wt[:kept].T / sv[:kept]
-    return _assemble(layout, columns, inverse, L[nu:, :nu], V[:, :kept], sv, to_future, rest[nc:, nc:], rank, rounding)
+    L33 = rest[nc:, nc:]
+    left = float(np.sum(L33**2) + np.sum((rest[nc:, :nc] @ Wt[kept:].T) ** 2))
+    return _assemble(layout, columns, inverse, L[nu:, :nu], V[:, :kept], sv, to_future, L33, left, rank, rounding)
 
 
 def fit_gram(S: Array, layout: Layout, columns: int, cut: Truncation, noise_block: bool) -> Predictor:
@@ -138,11 +142,11 @@ def fit_gram(S: Array, layout: Layout, columns: int, cut: Truncation, noise_bloc
     kept = cut.keep(sv, rounding)
     to_future = (M[nc:, :nc] @ V[:, :kept]) / sv[:kept] ** 2
     L33 = np.zeros((layout.future_y, 0))
+    left = float(np.trace(M[nc:, nc:]) - np.sum((to_future * sv[:kept]) ** 2))
     if noise_block:
-        left = M[nc:, nc:] - (to_future * sv[:kept] ** 2) @ to_future.T
-        energy, U = np.linalg.eigh(left)
+        energy, U = np.linalg.eigh(M[nc:, nc:] - (to_future * sv[:kept] ** 2) @ to_future.T)
         L33 = U * np.sqrt(np.maximum(energy, 0.0))
-    return _assemble(layout, columns, inverse, below, V[:, :kept], sv, to_future, L33, nu + kept, rounding)
+    return _assemble(layout, columns, inverse, below, V[:, :kept], sv, to_future, L33, left, nu + kept, rounding)
 
 
 def fit_causal(W: Array, layout: Layout, columns: int, cut: Truncation) -> Predictor:
@@ -195,6 +199,7 @@ def fit_causal(W: Array, layout: Layout, columns: int, cut: Truncation) -> Predi
         joint.input_strength,
         joint.state_strength,
         joint.precise,
+        joint.doubt,
     )
 
 
@@ -222,25 +227,32 @@ def _assemble(
     sv: Array,
     to_future: Array,
     L33: Array,
+    left: float,
     rank: int,
     rounding: float,
 ) -> Predictor:
-    """The predictor from the parts of the factor; below = [L21; L31], to_future maps free coordinates to outputs."""
+    """The predictor from the parts of the factor.
+
+    below = [L21; L31], to_future maps free coordinates to outputs, left is the energy that these leave unexplained.
+    """
     nc, kept = layout.context, V.shape[1]
     from_context = to_future @ V.T
     from_inputs = (below[nc:] - from_context @ below[:nc]) @ inverse
     weakest = float(sv[kept - 1]) if kept else 0.0
     following = float(sv[kept]) if kept < sv.size else 0.0
-    root = np.sqrt(columns)
+    root, spread = np.sqrt(columns), float(np.linalg.norm(inverse))
+    G = from_inputs[:, layout.known_u :]
+    noise = max(left, 0.0) / max(columns - layout.inputs - kept, 1)  # variance per sample, all future outputs together
     return Predictor(
-        G=from_inputs[:, layout.known_u :],
+        G=G,
         F=np.hstack([from_inputs[:, : layout.known_u], from_context]),
         noise=L33 / root,
         state=to_future,
         rank=rank,
         order=kept,
         gap=weakest / following if following > 0 else np.inf,
-        input_strength=1.0 / (float(np.linalg.norm(inverse)) * root),
+        input_strength=1.0 / (spread * root),
         state_strength=weakest / root,
         precise=kept == 0 or weakest > 1e2 * rounding,
+        doubt=float(np.sqrt(noise)) * spread / max(float(np.linalg.norm(G)), EPS),
     )

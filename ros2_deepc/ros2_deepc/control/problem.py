@@ -7,7 +7,7 @@ once (a `Template`), what depends on the predictor once per predictor (`condense
 products.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,6 +46,7 @@ class Condensed:
         inputs: u_plan = inputs x, shape (mL, n).
         outputs: y_plan = outputs x + outputs_w w, shape (pL, n).
         outputs_w: shape (pL, size of w).
+        rests: the last unknowns are this many misses of the terminal rest; the bounds hold them at zero.
     """
 
     H: Array
@@ -60,6 +61,14 @@ class Condensed:
     inputs: Array
     outputs: Array
     outputs_w: Array
+    rests: int = 0
+
+    def eased(self, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """The bounds with the misses of the terminal rest set free, at their price."""
+        n = self.H.shape[0]
+        lower, upper = lower.copy(), upper.copy()
+        lower[n - self.rests : n], upper[n - self.rests : n] = -np.inf, np.inf
+        return lower, upper
 
 
 class Template:
@@ -131,7 +140,7 @@ def condense(template: Template, predictor: Predictor) -> Condensed:
     outputs = np.zeros((predictor.G.shape[0], template.n))
     outputs[:, :free] = predictor.G @ template.block if free < predictor.G.shape[1] else predictor.G
     cost, rows = template.cost.copy(), template.rows.copy()
-    squares: list[_Square] = []
+    squares: list[_Square] = []  # heavy ones
     weight = stage_weight(predictor, sized)
     if template.terminal == "equilibrium":
         _equilibrium_cost(cost, sized, outputs, predictor.F, weight)
@@ -140,15 +149,13 @@ def condense(template: Template, predictor: Predictor) -> Condensed:
         cost.f_goal -= cost.add(outputs, predictor.F, weight).T
     if template.terminal == "soft":
         part = slice(-sized.p * sized.base.tail, None)
-        square = _Square(outputs[part], predictor.F[part], -np.eye(outputs.shape[0])[part], sized.base.terminal_weight)
-        squares = [square.times(_root(masked(sized))).compressed(min(outputs.shape))]
+        goal, price = -np.eye(outputs.shape[0])[part], sized.base.terminal_weight
+        square = _Square.of(outputs[part], predictor.F[part], goal, price, _root(masked(sized)))
+        squares = _apart(cost, [square.compressed(min(outputs.shape))[1]], price)
     elif template.terminal == "hard":
         _terminal_rows(rows, sized, outputs, predictor.F)
     if template.limited:
         _output_rows(rows, cost, sized, outputs, predictor.F, free)
-    for square in squares:
-        if square.weight <= HEAVY:
-            square.add_to(cost)
     A, A_w, A_goal, lower, upper = rows.stacked()
     program = Condensed(
         H=cost.H,
@@ -164,8 +171,7 @@ def condense(template: Template, predictor: Predictor) -> Condensed:
         outputs=outputs,
         outputs_w=predictor.F,
     )
-    heavy = [square for square in squares if square.weight > HEAVY]
-    return _lift(program, heavy) if heavy else program
+    return _lift(program, squares) if squares else program
 
 
 def move_blocking(sized: Sized, terminal: Terminal) -> Array:
@@ -258,48 +264,69 @@ class _Rows:
 
 @dataclass(frozen=True, slots=True)
 class _Square:
-    """A cost weight |C x + D w + E goal|^2."""
+    """A cost sum of weight (C x + D w + E goal)^2, one weight per row; of a rest, zero wherever limits allow."""
 
     C: Array
     D: Array
     E: Array
-    weight: float
+    weight: Array
+    rest: bool = False
 
-    def times(self, root: Array) -> "_Square":
-        """With each sample's outputs mapped by ``root``, shape (any, p)."""
-        C, D, E = (
-            np.matmul(root, M.reshape(-1, root.shape[1], M.shape[1])).reshape(-1, M.shape[1]) for M in self._maps
+    @staticmethod
+    def of(C: Array, D: Array, E: Array, price: float, root: Array) -> "_Square":
+        """With one price, and each sample's outputs mapped by ``root``, shape (any, p)."""
+        C, D, E = (np.matmul(root, M.reshape(-1, root.shape[1], M.shape[1])).reshape(-1, M.shape[1]) for M in (C, D, E))
+        return _Square(C, D, E, np.full(len(C), price))
+
+    def compressed(self, rank: int, doubt: float = 0.0) -> tuple["_Square", "_Square"]:
+        """The same, but for a constant, in at most ``rank`` rows: those that x can move, with orthonormal rows of C.
+
+        Returns:
+            Rows weaker than ``doubt`` against the strongest, and the others.
+        """
+        U, sv, Vt = np.linalg.svd(self.C, full_matrices=False)
+        kept = min(rank, int(np.count_nonzero(sv > THIN * sv[:1])))
+        firm = min(kept, int(np.count_nonzero(sv > doubt * sv[:1])))
+        keep = (U[:, :kept] / sv[:kept]).T
+        C, D, E, weight = Vt[:kept], keep @ self.D, keep @ self.E, self.weight[:1] * sv[:kept] ** 2
+        weak, strong = (
+            _Square(C[part], D[part], E[part], weight[part]) for part in (slice(firm, None), slice(None, firm))
         )
-        return _Square(C, D, E, self.weight)
-
-    def compressed(self, rank: int) -> "_Square":
-        """The same, but for a constant, in at most ``rank`` rows: those that x can move."""
-        U, sv, _ = np.linalg.svd(self.C, full_matrices=False)
-        keep = U[:, : min(rank, int(np.count_nonzero(sv > THIN * sv[:1])))].T
-        return _Square(keep @ self.C, keep @ self.D, keep @ self.E, self.weight)
+        return weak, strong
 
     def add_to(self, cost: "_Cost") -> None:
         """Adds it to the other costs."""
-        cost.f_goal += cost.add(self.C, self.D, self.weight * np.eye(len(self.C))).T @ self.E
+        root = np.sqrt(self.weight)[:, None]
+        cost.f_goal += cost.add(root * self.C, root * self.D, np.eye(len(root))).T @ (root * self.E)
 
-    @property
-    def _maps(self) -> tuple[Array, Array, Array]:
-        return self.C, self.D, self.E
+
+def _apart(cost: _Cost, squares: list[_Square], price: float) -> list[_Square]:
+    """Squares that are too heavy for H; the others are added to the cost."""
+    squares = [square for square in squares if len(square.C)]
+    if price > HEAVY:
+        return squares
+    for square in squares:
+        square.add_to(cost)
+    return []
 
 
 def _lift(program: Condensed, squares: list[_Square]) -> Condensed:
-    """The program with heavy squares added: each row C x + D w + E goal = scale t has an unknown t of ordinary price.
+    """The program with heavy squares added, a rest last: each row C x + D w + E goal = scale t has an unknown t.
 
-    Added to H, they would leave it so ill-conditioned that an operator-splitting solver stops far from the optimum.
+    The price of t is an ordinary one. Added to H, the squares would leave it so ill-conditioned that an
+    operator-splitting solver stops far from the optimum. The t of a rest are held at zero.
     """
-    n, count = program.H.shape[0], sum(len(square.C) for square in squares)
+    n = program.H.shape[0]
     price = max(float(program.H.diagonal().mean()), TINY)
-    scale = np.concatenate([np.full(len(q.C), np.sqrt(price / (2.0 * q.weight))) for q in squares])
     C, D, E = (np.vstack(maps) for maps in zip(*((q.C, q.D, q.E) for q in squares), strict=True))
+    scale = np.sqrt(price / (2.0 * np.concatenate([square.weight for square in squares])))
+    count = scale.size
     H = np.zeros((n + count, n + count))
     H[:n, :n] = program.H
     H[n:, n:] = price * np.eye(count)
-    free, zero = np.full(count, np.inf), np.zeros(count)
+    rests = sum(len(square.C) for square in squares if square.rest)
+    far, zero = np.full(count, np.inf), np.zeros(count)
+    far[count - rests :] = 0.0
 
     def padded(M: Array, axis: int) -> Array:
         return np.pad(M, [(0, count) if i == axis else (0, 0) for i in range(M.ndim)])
@@ -310,13 +337,14 @@ def _lift(program: Condensed, squares: list[_Square]) -> Condensed:
         f0=padded(program.f0, 0),
         f_w=padded(program.f_w, 0),
         f_goal=padded(program.f_goal, 0),
-        lower=np.concatenate([program.lower[:n], -free, program.lower[n:], zero]),
-        upper=np.concatenate([program.upper[:n], free, program.upper[n:], zero]),
+        lower=np.concatenate([program.lower[:n], -far, program.lower[n:], zero]),
+        upper=np.concatenate([program.upper[:n], far, program.upper[n:], zero]),
         A_w=np.vstack([program.A_w, D]),
         A_goal=np.vstack([program.A_goal, E]),
         inputs=padded(program.inputs, 1),
         outputs=padded(program.outputs, 1),
         outputs_w=program.outputs_w,
+        rests=rests,
     )
 
 
@@ -343,17 +371,18 @@ def _equilibrium_cost(cost: _Cost, sized: Sized, outputs: Array, F: Array, weigh
 def _equilibrium_squares(cost: _Cost, template: Template, outputs: Array, predictor: Predictor) -> list[_Square]:
     """Rest over the tail, and the distance of y_s from the reference.
 
-    A reference that can be held is held exactly, since every term vanishes there. One that cannot be held ends at the
-    nearest steady state up to offset_weight / terminal_weight of its distance. Two small prices choose among steady
-    inputs that serve alike, and vanish at rest: on the move to them, and on their share that no output sees at rest.
+    Rest is no price but a condition, as long as any plan within the limits meets it: the limit of an exact penalty.
+    Where none does, terminal_weight prices what is missing. Rows so weak that noise in the data may have made them up
+    are only priced. Two small prices choose among steady inputs that serve alike, and vanish at rest: on the move to
+    them, and on their share that no output sees at rest.
     """
     sized, F = template.sized, predictor.F
     base, p, m = sized.base, sized.p, sized.m
     root = _root(masked(sized))
-    end = _Square(outputs[-p:], F[-p:], -np.eye(p * base.L)[-p:], base.offset_weight).times(root)
+    end = _Square.of(outputs[-p:], F[-p:], -np.eye(p * base.L)[-p:], base.offset_weight, root)
     part = slice(-p * base.tail, -p)
     off, off_w = _from_end(outputs, p)[part], _from_end(F, p)[part]
-    rest = _Square(off, off_w, np.zeros((len(off), p * base.L)), base.terminal_weight).times(root)
+    rest = _Square.of(off, off_w, np.zeros((len(off), p * base.L)), base.terminal_weight, root)
     conditions = predictor.order + m * (base.s - 1) if base.q else len(off)
     pull = base.offset_weight * float(np.sum(end.C[:, template.free - m : template.free] ** 2)) / m
     calm = max(CALM * pull, TINY * template.input_size) * template.input_shape
@@ -365,7 +394,11 @@ def _equilibrium_squares(cost: _Cost, template: Template, outputs: Array, predic
     # The way there disturbs outputs, but for inputs that no output ever sees: those may go at once.
     cost.add(idle @ steady, None, TINY * template.input_size * template.input_shape)
     cost.add(_silent(predictor, root, m, known) @ idle @ steady, None, calm)
-    return [rest.compressed(conditions), end]
+    weak, firm = rest.compressed(conditions, predictor.doubt)
+    return [
+        *_apart(cost, [end], base.offset_weight),
+        *_apart(cost, [weak, replace(firm, rest=True)], base.terminal_weight),
+    ]
 
 
 def _idle(predictor: Predictor, root: Array, m: int, known: int) -> Array:

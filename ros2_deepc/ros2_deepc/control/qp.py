@@ -17,6 +17,7 @@ from .problem import Condensed
 INFINITE = 1e30
 ACCURACY = 1e-4  # aimed at in x: residuals tell of errors up to the condition of H times as large
 EPS = (1e-9, 1e-6)  # bounds of the tolerance that follows from it
+EXACT = 1e-9  # tolerance of DAQP's rows; its own, 1e-6, shows in x
 STEP = 1 / 3  # of sqrt(least * largest eigenvalue of H): the step size at which box programs take fewest iterations
 SOLVED = osqp.osqp_status_type.OSQP_SOLVED.value
 
@@ -102,13 +103,15 @@ def _osqp_settings(H: Array, *, boxed: bool) -> Any:
     settings = osqp.OSQPSettings()
     osqp.osqp_set_default_settings(settings)
     settings.verbose, settings.polishing, settings.check_termination = False, False, 10
-    settings.max_iter = 2000
+    settings.max_iter, settings.check_dualgap = 2000, False  # every answer is checked here
     eigenvalues = np.linalg.eigvalsh(H)
     largest = max(eigenvalues[-1], EPS[0])
     least = max(eigenvalues[0], EPS[0] * largest)
     settings.eps_abs = settings.eps_rel = min(max(ACCURACY * least / largest, EPS[0]), EPS[1])
     if boxed:
         settings.scaling, settings.rho = 0, STEP * math.sqrt(least * largest)
+    else:
+        settings.alpha, settings.adaptive_rho_tolerance = 1.8, 2.0
     return settings
 
 
@@ -128,8 +131,7 @@ class Daqp:
         """See `QpSolver.load`; a change of shape or of the equality rows sets up anew."""
         before, self._problem = self._problem, (H, A)
         self._same(lower, upper)
-        fits = self._model is not None and before[0].shape == H.shape and before[1].shape == A.shape
-        if fits and np.array_equal(self._sense, self._equalities()):
+        if self._model is not None and before[0].shape == H.shape and before[1].shape == A.shape:
             low, high = self._bounds
             if self._model.update(H=H, A=A if A.shape[0] else None, bupper=high, blower=low) == 0:
                 return
@@ -157,19 +159,18 @@ class Daqp:
             return True
         self._seen = (lower, upper)
         self._bounds = (np.maximum(lower, -INFINITE), np.minimum(upper, INFINITE))
+        sense = np.where(self._bounds[0] == self._bounds[1], 5, 0).astype(np.int32)  # equalities are active for good
+        if not np.array_equal(sense, self._sense):
+            self._sense, self._model = sense, None
         return False
-
-    def _equalities(self) -> Any:
-        """DAQP's mark for equality rows: active for good."""
-        return np.where(self._bounds[0] == self._bounds[1], 5, 0).astype(np.int32)
 
     def _set_up(self) -> None:
         """A fresh model."""
         H, A = self._problem
         low, high = self._bounds
-        self._sense = self._equalities()
         self._model = daqp.Model()
         flag, _ = self._model.setup(H, np.zeros(H.shape[0]), A, high, low, self._sense)
+        self._model.settings = {**self._model.settings, "primal_tol": EXACT}
         if flag < 0:
             self._model = None
 
