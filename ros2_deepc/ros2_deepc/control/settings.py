@@ -64,7 +64,8 @@ class DeepcSettings:
         y_min: lower output limit, kept by the plan with a slack that is reported.
         y_max: upper output limit.
         terminal: "none"; "equilibrium": the plan ends at rest, exactly wherever a plan within the limits can, in a
-            steady state of its own choice as near the reference as possible; "hard": equation (6.1c) as printed, u = 0 and y = y_ref at the end; "soft": (6.1c) as a penalty.
+            steady state of its own choice as near the reference as possible; "hard": equation (6.1c) as printed, u = 0
+            and y = y_ref at the end; "soft": (6.1c) as a penalty.
         terminal_steps: samples at the end of the plan for which the terminal condition holds; 0 takes N.
         terminal_weight: price of violating the terminal condition where it cannot be met, relative to Q; up to 10 the
             rest of "equilibrium" is no condition, but costs this price.
