@@ -183,7 +183,8 @@ def test_the_browser_would_tell(faulty, tmp_path, in_browser):
     """What the test above must not see, it can see."""
     page = tmp_path / "r.html"
     write_report(faulty, page)
-    broken = "<script>new Image().src = 'r.html'; console.warn('look'); undefinedThing();</script><div style='width:3000px'>.</div>"
+    script = "new Image().src = 'r.html'; console.warn('look'); undefinedThing();"
+    broken = f"<script>{script}</script><div style='width:3000px'>.</div>"
     page.write_text(page.read_text().replace("</body>", f"{broken}</body>"))
     for seen in in_browser(page):
         assert seen["said"] == ["warning: look", "error: undefinedThing is not defined"]

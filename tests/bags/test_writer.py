@@ -10,6 +10,7 @@ import textwrap
 
 import pytest
 import yaml
+from mcap.reader import make_reader
 
 from ros2_deepc.bags import BagError, BagReader, BagWriter, load_run
 
@@ -82,7 +83,7 @@ def test_bytes_times_and_attachments_come_back(tmp_path, compression):
     assert [m.log_time for m in reader.messages(["/t1"], start=1100, end=1110)] == [1100, 1103, 1106, 1109]
 
 
-@pytest.mark.parametrize("options", [{"max_bytes": 20_000}, {"max_duration": 100e-9}])
+@pytest.mark.parametrize("options", [{"max_bytes": 20_000}, {"max_duration": 100e-9}, {"max_chunks": 50}])
 def test_rolls_into_files_that_each_stand_alone(tmp_path, options):
     data = os.urandom(400)
     with BagWriter(tmp_path / "bag", chunk_size=1000, metadata={"seed": "3"}, **options) as bag:
@@ -99,6 +100,23 @@ def test_rolls_into_files_that_each_stand_alone(tmp_path, options):
     assert [f["message_count"] for f in info["files"]] == [r.message_count for r in single]
     assert info["relative_file_paths"] == [f.name for f in reader.files]
     assert info["message_count"] == 500
+
+
+@pytest.mark.parametrize(("size", "period"), [(100, 60.0), (10**6, 0.0)])
+def test_no_file_has_more_chunks_than_asked_for(tmp_path, size, period):
+    """Whether chunks are full or flushed: their index is what grows in memory until a file is finished."""
+    with BagWriter(tmp_path / "bag", chunk_size=size, flush_period=period, max_chunks=30) as bag:
+        bag.add_topic("/a", STRING)
+        for i in range(400):
+            bag.write("/a", os.urandom(60), i)
+    reader = BagReader(tmp_path / "bag")
+    chunks = []
+    for file in reader.files:
+        with file.open("rb") as stream:
+            chunks.append(len(make_reader(stream).get_summary().chunk_indexes))
+    assert len(chunks) > 5
+    assert max(chunks) <= 30
+    assert [m.log_time for m in reader.messages()] == list(range(400))
 
 
 def test_killed_recorder_leaves_what_it_flushed(tmp_path):
@@ -170,5 +188,5 @@ def test_empty_bag_is_a_bag(tmp_path):
     reader = BagReader(tmp_path / "bag")
     assert reader.message_count == 0
     assert list(reader.messages()) == []
-    with pytest.raises(BagError, match="0 plants"):
+    with pytest.raises(BagError, match="holds no message: nothing was recorded"):
         load_run(reader)

@@ -100,6 +100,8 @@ def check(path: str | os.PathLike[str], *, progress: Progress = no_progress) -> 
                     watches.setdefault(topic.name, watch_of(topic)).look(Block(mine, topic.outliner()))
             found.messages += len(batch)
             progress(found.messages, reader.message_count)
+    if not found.messages:
+        found.add("error", folder.name, "no messages")
     for name, watch in {"log time": clock, **watches}.items():
         watch.report(name, found.add)
     _compare_index(folder, counts, found)
@@ -122,8 +124,7 @@ def repair(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Check:
     """
     source = BagReader(path)
     saved = Check()
-    if not source.message_count:
-        raise BagError(f"nothing can be read of {path}: {'; '.join(source.losses) or 'no messages'}")
+    source.must_hold_something()
     metadata = source.metadata.get(RUN_METADATA, {})
     with BagWriter(out, metadata={**metadata, "repaired_from": Path(path).name}) as bag:
         for name, values in source.metadata.items():

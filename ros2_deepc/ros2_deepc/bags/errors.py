@@ -19,6 +19,21 @@ def why(error: BaseException) -> str:
     return text.splitlines()[0]
 
 
+def check_target(path: str | os.PathLike[str]) -> None:
+    """Looks, before long work, at whether its result can be written.
+
+    Raises:
+        BagError: if there is no such folder, it forbids writing, or the path is a folder.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise BagError(f"cannot write {path}: it is a folder; name a file in it")
+    if not path.parent.is_dir():
+        raise BagError(f"cannot write {path}: there is no folder {path.parent}; make it first")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise BagError(f"cannot write {path}: Permission denied; choose another place")
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Writes a text file.
 

@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 from contextlib import ExitStack
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from .trends import Trends
 
 Column = list[str] | NDArray[np.generic]
 _PICTURES = (".png", ".svg", ".pdf")
+_FORMATS = (".csv", ".parquet", *_PICTURES, ".json")
 
 
 def columns(run: Run | Recording) -> Iterator[dict[str, Column]]:
@@ -64,7 +66,7 @@ def export(run: Run | Recording, path: str | os.PathLike[str], *, progress: Prog
     Raises:
         BagError: for another ending, a missing pyarrow, or a file that cannot be written.
     """
-    ending = Path(path).suffix.lower()
+    ending = check_format(path)
     try:
         if ending == ".csv":
             _csv(run, Path(path), progress)
@@ -72,14 +74,25 @@ def export(run: Run | Recording, path: str | os.PathLike[str], *, progress: Prog
             _parquet(run, Path(path), progress)
         elif ending in _PICTURES:
             draw(Trends.of(run, progress), path)
-        elif ending == ".json":
-            write_text(path, json.dumps(_summed(run, progress), indent=2) + "\n")
         else:
-            raise BagError(
-                f"cannot export to {Path(path).name}: the name must end in .csv, .parquet, .png, .svg, .pdf or .json"
-            )
+            write_text(path, json.dumps(_summed(run, progress), indent=2) + "\n")
     except OSError as error:
         raise error if isinstance(error, BagError) else BagError(f"cannot write {path}: {why(error)}") from error
+
+
+def check_format(path: str | os.PathLike[str]) -> str:
+    """The ending of a file's name, if it says a format that can be written; Parquet only where pyarrow is.
+
+    Raises:
+        BagError: see ``export``.
+    """
+    ending = Path(path).suffix.lower()
+    if ending not in _FORMATS:
+        known = f"{', '.join(_FORMATS[:-1])} or {_FORMATS[-1]}"
+        raise BagError(f"cannot export to {Path(path).name}: the name must end in {known}")
+    if ending == ".parquet" and not find_spec("pyarrow"):
+        raise BagError("Parquet needs pyarrow: pip install pyarrow")
+    return ending
 
 
 def _csv(run: Run | Recording, path: Path, progress: Progress) -> None:
@@ -101,10 +114,7 @@ def _plain(column: Column) -> list[object]:
 
 
 def _parquet(run: Run | Recording, path: Path, progress: Progress) -> None:
-    try:
-        pa, pq = import_module("pyarrow"), import_module("pyarrow.parquet")
-    except ImportError:
-        raise BagError("Parquet needs pyarrow: pip install pyarrow") from None
+    pa, pq = import_module("pyarrow"), import_module("pyarrow.parquet")
     first = next(iter(run.stretches()))
     facts = {"plant": first.plant, "variant": first.variant, "sample_time": repr(first.sample_time)}
     facts |= {"loop_hash": str(_summed(run, no_progress)["loop_hash"]), **first.metadata}

@@ -153,9 +153,9 @@ def _number(read: Callable[[Any], float], message: Any, channel: Channel) -> flo
     try:
         return read(message)
     except (AttributeError, IndexError, TypeError, ValueError) as error:
-        fields = ", ".join(vars(message))
+        what = f"there is no field {error.name}" if isinstance(error, AttributeError) else str(error)
         raise BagError(
-            f"{channel.topic}:{channel.path or 'data'} is no number ({error}); the message has {fields}"
+            f"{channel.topic}:{channel.path or 'data'} is no number: {what}; the message has {', '.join(vars(message))}"
         ) from error
 
 

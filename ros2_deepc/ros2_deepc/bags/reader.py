@@ -62,6 +62,13 @@ class BagReader:
         """Messages in all topics."""
         return sum(t.count for t in self.topics.values())
 
+    def must_hold_something(self) -> None:
+        """Raises a BagError if there is no message in the bag, or none that can be read."""
+        if not self.message_count and self.losses:
+            raise BagError(f"nothing can be read of bag {self.path}: {'; '.join(self.losses)}")
+        if not self.message_count:
+            raise BagError(f"bag {self.path} holds no message: nothing was recorded")
+
     def messages(
         self, topics: Iterable[str] | None = None, start: int | None = None, end: int | None = None
     ) -> Iterator[RawMessage]:
@@ -181,7 +188,7 @@ def bag_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        raise BagError(f"no bag at {path}")
+        raise BagError(f"no bag at {path}: name the folder of a run or of a bag, or an .mcap file")
     try:
         text = (path / METADATA).read_text(encoding="utf-8")
         info = yaml.safe_load(text)["rosbag2_bagfile_information"]
@@ -197,7 +204,7 @@ def bag_files(path: Path) -> list[Path]:
         return bag_files(path / "bag")
     missing = [f.name for f in files if not f.is_file()]
     if missing or not files:
-        raise BagError(f"bag {path} has no file {missing[0] if missing else '*.mcap'}")
+        raise BagError(f"bag {path} has no file {missing[0] if missing else 'that ends in .mcap'}")
     if any(f.suffix != ".mcap" for f in files):
         raise BagError(f"bag {path} is not MCAP: convert it first (ros2 bag convert)")
     return files

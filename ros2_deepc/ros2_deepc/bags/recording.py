@@ -242,6 +242,7 @@ def find_namespace(reader: BagReader, namespace: str | None = None) -> str:
     Raises:
         BagError: if there is no such plant, or more than one and none was named.
     """
+    reader.must_hold_something()
     found = [t.name.removesuffix("/outputs") for t in reader.topics.values()
              if t.name.endswith("/outputs") and t.type == "deepc_msgs/msg/Sample"]  # fmt: skip
     if namespace is not None:
@@ -249,10 +250,20 @@ def find_namespace(reader: BagReader, namespace: str | None = None) -> str:
         if wanted in found:
             return wanted
         raise BagError(f"bag {reader.path} has no plant {namespace!r}; it has {', '.join(found) or 'none'}")
-    if len(found) != 1:
-        advice = f": name one of {', '.join(found)}" if found else ""
-        raise BagError(f"bag {reader.path} has {len(found)} plants{advice}")
+    if len(found) > 1:
+        raise BagError(f"bag {reader.path} has {len(found)} plants: name one of {', '.join(found)} as --namespace")
+    if not found:
+        raise BagError(_no_plant(reader))
     return found[0]
+
+
+def _no_plant(reader: BagReader) -> str:
+    names = sorted(reader.topics)
+    more = f" and {len(names) - 8} more" if len(names) > 8 else ""
+    return (
+        f"bag {reader.path} has no plant, that is no topic .../outputs of deepc_msgs/msg/Sample; it has "
+        f"{', '.join(names[:8])}{more}; `analyze` and `tune` take any field of any topic as --input and --output"
+    )
 
 
 def _asked_for(used: Array, keys: Keys, references: Found, before: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from .check import Check, check
-from .errors import write_text
+from .errors import check_target, write_text
 from .events import Events
 from .figure import seconds
 from .panels import page_data
@@ -51,6 +51,7 @@ def write_report(
     Raises:
         BagError: if the bag cannot be read or the file cannot be written.
     """
+    check_target(out)
     reader = BagReader(bag)
     total = max(reader.message_count, 1)
 

@@ -25,8 +25,9 @@ RUN_METADATA = "ros2_deepc"  # name of the MCAP metadata record that holds the c
 class BagWriter:
     """Records serialized messages into a folder that ``ros2 bag``, Foxglove and PlotJuggler open.
 
-    Memory stays bounded by the chunk size. A kill loses what came after the last flush, one second at most; until a
-    clean close the folder holds a file ``INCOMPLETE`` and no metadata.yaml. Not thread-safe.
+    Memory stays bounded by the chunk size and the index of one file, about 1 kB a chunk, which MCAP keeps until the
+    file is finished. A kill loses what came after the last flush, one second at most; until a clean close the folder
+    holds a file ``INCOMPLETE`` and no metadata.yaml. Not thread-safe.
 
     Args:
         folder: the bag's folder, created here; an existing one must be empty.
@@ -37,6 +38,7 @@ class BagWriter:
         ros_distro: written into metadata.yaml.
         max_bytes: start a new file once this many bytes are written; 0 = never.
         max_duration: start a new file after this much log time [s]; 0 = never.
+        max_chunks: start a new file after so many chunks: by default after an hour, where one a second is flushed.
         flush_period: longest time [s] that a message stays in memory while others arrive.
 
     Raises:
@@ -54,6 +56,7 @@ class BagWriter:
         ros_distro: str = "kilted",
         max_bytes: int = 0,
         max_duration: float = 0.0,
+        max_chunks: int = 3600,
         flush_period: float = 1.0,
     ) -> None:
         if compression not in _COMPRESSION:
@@ -63,6 +66,7 @@ class BagWriter:
         self._compression, self._chunk_size = _COMPRESSION[compression], chunk_size
         self._metadata, self._ros_distro = dict(metadata or {}), ros_distro
         self._max_bytes, self._max_duration = max_bytes, round(max_duration * 1e9)
+        self._max_chunks, self._flushes, self._bytes = max_chunks, 0, 0  # the latter two: of the file that is open
         self._flush_period, self._flushed = flush_period, time.monotonic()
         self._count, self._safe = 0, 0  # messages written, and those of them that were flushed
         self._topics: dict[str, TopicRecord] = {}
@@ -128,6 +132,7 @@ class BagWriter:
         entry.add(topic, log_time)
         record.count += 1
         self._count += 1
+        self._bytes += len(data)
         with self._disk():
             self._mcap.add_message(
                 self._channels[topic],
@@ -159,6 +164,7 @@ class BagWriter:
         """Hands everything so far to the operating system: a kill of this process loses nothing before this call."""
         self._check_open()
         self._flushed, self._safe = time.monotonic(), self._count
+        self._flushes += 1
         with self._disk():
             self._mcap.flush()
 
@@ -217,6 +223,7 @@ class BagWriter:
         if self._metadata:
             self._mcap.add_metadata(RUN_METADATA, self._metadata)
         self._files.append(FileRecord(path.name))
+        self._flushes = self._bytes = 0
         self._schemas: dict[str, int] = {}
         self._channels.clear()
         for topic in self._topics.values():
@@ -235,7 +242,8 @@ class BagWriter:
         entry = self._files[-1]
         full = self._max_bytes and self._file.tell() >= self._max_bytes
         late = self._max_duration and log_time - entry.start >= self._max_duration
-        if entry.count and (full or late):
+        many = self._flushes + self._bytes // self._chunk_size >= self._max_chunks  # each of them ends a chunk at most
+        if entry.count and (full or late or many):
             with self._disk():
                 self._finish_file()
                 self._open_file()

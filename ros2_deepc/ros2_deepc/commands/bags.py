@@ -11,7 +11,8 @@ from rich.console import Console
 
 from ..bags.check import check as check_bag
 from ..bags.check import repair
-from ..bags.errors import BagError, write_text
+from ..bags.errors import BagError, check_target, write_text
+from ..bags.export import check_format
 from ..bags.export import export as export_run
 from ..bags.layouts import foxglove, panels, plotjuggler
 from ..bags.reader import BagReader
@@ -60,7 +61,7 @@ def check(
 
 def export(
     bag: Bag,
-    out: Annotated[Path, typer.Option(help="File to write: .csv, .parquet, .png or .json.")],
+    out: Annotated[Path, typer.Option(help="File to write: .csv, .parquet, .json, .png, .svg or .pdf.")],
     namespace: Zone = None,
 ) -> None:
     """Export a run: samples as CSV or Parquet, the figure as PNG, the summary as JSON.
@@ -69,6 +70,8 @@ def export(
       ros2-deepc export runs/today/bag --out today.csv
     """
     console = Console()
+    check_format(out)
+    check_target(out)
     with bar(console, "reading") as progress:
         recording = Recording(bag, namespace, progress=progress)
     with recording, bar(console, "writing") as progress:
@@ -89,6 +92,7 @@ def layout(
     writers = {".json": foxglove, ".xml": plotjuggler}
     if out.suffix not in writers:
         raise BagError(f"--out {out}: end it in .json (Foxglove) or .xml (PlotJuggler)")
+    check_target(out)
     reader = BagReader(bag)
     prefix = find_namespace(reader, namespace)
     with Recording(reader, namespace) as recording:

@@ -15,6 +15,6 @@ from ..bags.progress import Progress
 @contextmanager
 def bar(console: Console, words: str) -> Iterator[Progress]:
     """Shows a bar until the end of the block; what it gives takes what is done and all there is."""
-    with Bar(console=console, transient=True) as shown:
+    with Bar(console=console, transient=True, disable=not console.is_terminal) as shown:
         task = shown.add_task(words)
         yield lambda done, total: shown.update(task, completed=done, total=total)

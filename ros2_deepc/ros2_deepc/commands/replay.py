@@ -61,7 +61,7 @@ def replay(
     """
     console = Console()
     if recompute:
-        _recompute(console, bag, recompute, _settings(bag, settings), namespace)
+        _recompute(console, bag, recompute, settings, namespace)
     elif try_settings is not None:
         _what_if(console, bag, load(try_settings), namespace, out)
     else:
@@ -77,10 +77,11 @@ def _settings(bag: Path, given: Path | None) -> Parameters:
     raise ConfigError(f"bag {bag} does not hold the settings of its run: give them with --settings FILE")
 
 
-def _recompute(console: Console, bag: Path, part: str, parameters: Parameters, namespace: str | None) -> None:
+def _recompute(console: Console, bag: Path, part: str, settings: Path | None, namespace: str | None) -> None:
     if part not in _PARTS:
         raise ConfigError(f"--recompute {part}: choose one of {', '.join(_PARTS)}")
-    makers = cores(parameters)
+    find_namespace(BagReader(bag), namespace)
+    makers = cores(_settings(bag, settings))
     chosen = makers if part == "all" else {part: makers[part]}
     with bar(console, "replaying") as progress:
         result = compare(bag, chosen, namespace=namespace, progress=progress)
@@ -121,6 +122,7 @@ def _what_if(console: Console, bag: Path, parameters: Parameters, namespace: str
 
 def _republish(console: Console, bag: Path, rate: float, max_pause: float, step: bool) -> None:
     reader = BagReader(bag)
+    reader.must_hold_something()
 
     def wait_for_enter() -> None:
         input("Enter for the next sample ")
