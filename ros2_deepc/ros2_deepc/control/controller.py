@@ -227,6 +227,7 @@ class DeepcController:
         """
         if self._due:
             self._load()
+        self._planner.settle()
 
     def step(self, y_ref: ArrayLike, forecast: ArrayLike | None = None) -> StepResult:
         """Plans from the newest sample and answers with the first input that is still free.
@@ -250,6 +251,8 @@ class DeepcController:
         w = self._known(forecast)
         if not self._planner.loaded:
             self._load()
+        if not self._due:  # in case there was no sample in between
+            self._planner.settle()
         plan, remark = self._planner.plan(w, self._goal_vector)
         if plan is None:
             status, plan = self._without_solution(remark)

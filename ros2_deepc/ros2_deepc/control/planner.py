@@ -73,6 +73,7 @@ class _Branch:
     def __init__(self, template: Template, solver: str) -> None:
         self.template, self.solver = template, CheckedSolver(solver)
         self.program: Condensed | None = None
+        self._restless = False  # whether the last plan could not end at rest
         self._goal: Array | None = None
         self._f_goal = np.empty(0)
 
@@ -96,14 +97,15 @@ class _Branch:
             lower, upper = lower.copy(), upper.copy()
             lower[f.size :] -= move
             upper[f.size :] -= move
-        answer, which, remark = self.solver.solve(f, lower, upper)
-        if answer is None and program.rests:
+        # Where there was no plan at rest, there is hardly one a sample later: only an exact solver is asked for it.
+        answer, which, remark = self.solver.solve(f, lower, upper, exactly=self._restless)
+        self._restless = answer is None and program.rests > 0
+        if self._restless:
             answer, which, remark = self.solver.solve(f, *program.eased(lower, upper))
             remark = f"{RESTLESS}; {remark}" if remark else RESTLESS
         if answer is None:
             return None, remark
-        solver = self.solver.solvers[which].name
-        return Plan(program, answer.x, w, which > 0, solver, answer.iterations, remark, unmet), remark
+        return Plan(program, answer.x, w, which > 0, answer.solver, answer.iterations, remark, unmet), remark
 
 
 class Planner:
@@ -124,6 +126,7 @@ class Planner:
         if base.terminal == "hard":
             self._relaxed = _Branch(Template(sized, size, last_input, "soft"), base.solver)
         self._tests: list[_Reach] = []
+        self._predictor: Predictor | None = None
         self._nothing = np.zeros(sized.p)
 
     @property
@@ -132,13 +135,22 @@ class Planner:
         return self._main.program is not None
 
     def load(self, predictor: Predictor) -> None:
-        """Takes a new predictor; everything that does not need the newest sample is worked out here."""
+        """Takes a predictor; everything that does not need the newest sample is worked out here, unless it is known."""
+        if predictor is self._predictor:
+            return
+        self._predictor = predictor
         program = self._main.load(predictor)
         if self._relaxed is not None:
             self._relaxed.load(predictor)
             p = self._sized.p
             every = [np.arange(p)] + [np.array([i]) for i in range(p)]
             self._tests = [_Reach(self._main.template, program, outputs) for outputs in every]
+
+    def settle(self) -> None:
+        """Work for the next step that the last answer allows for."""
+        self._main.solver.settle()
+        if self._relaxed is not None:
+            self._relaxed.solver.settle()
 
     def plan(self, w: Array, r: Array) -> tuple[Plan | None, str]:
         """Plans from w = [known inputs; disturbances; past outputs] towards the reference trajectory r, shape (pL,).

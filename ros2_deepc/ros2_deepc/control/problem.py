@@ -21,6 +21,7 @@ CALM = 1e-5  # share of the pull towards the reference that holds the steady inp
 SILENT = 1e-10  # of the strongest input's effect, squared: below it an input has none
 HEAVY = 10.0  # squares that weigh more than this against Q get a variable of their own
 FREE = 1e-12  # price of a doubt that is free
+FAR = 1e30  # as good as no bound, and finite
 THIN = 1e-7  # terminal rows weaker than this against the strongest cannot be met by inputs, whatever they are
 
 
@@ -67,7 +68,7 @@ class Condensed:
         """The bounds with the misses of the terminal rest set free, at their price."""
         n = self.H.shape[0]
         lower, upper = lower.copy(), upper.copy()
-        lower[n - self.rests : n], upper[n - self.rests : n] = -np.inf, np.inf
+        lower[n - self.rests : n], upper[n - self.rests : n] = -FAR, FAR
         return lower, upper
 
 

@@ -86,7 +86,7 @@ class StepResult:
 
     @property
     def solver(self) -> str:
-        """Name of the solver that answered; "" if none did."""
+        """What answered: "osqp", "daqp", or "active set" (the exact law while the same bounds hold); "" if none did."""
         return self.plan.solver
 
     @property
