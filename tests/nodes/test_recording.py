@@ -22,10 +22,12 @@ from rclpy.node import Node
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from ros2_deepc.bags import BagReader, provenance
+from ros2_deepc.bags import BagReader, BagWriter, provenance, replay
+from ros2_deepc.bags.convert import from_cdr, to_cdr
 from ros2_deepc.bags.provenance import revision
 from ros2_deepc.bags.report import write_report
-from ros2_deepc.nodes.config import merged, text_of
+from ros2_deepc.nodes.config import load, merged, text_of
+from ros2_deepc.nodes.replaying import cores
 from ros2_deepc.nodes.stack import running
 from ros2_deepc.ros import topics
 from ros2_deepc.ros.qos import profile
@@ -205,6 +207,27 @@ def test_the_report_of_the_run_opens_in_a_browser(recorded, tmp_path, in_browser
         assert (seen["said"], seen["wide"]) == ([], False)
         assert len(seen["canvases"]) >= 6
         assert min(seen["canvases"]) > 50
+
+
+def test_one_flipped_bit_in_one_input_of_the_bag_is_caught_at_that_sample(recorded, tmp_path):
+    out, _ = recorded
+    parts = {"controller": cores(load(out / "parameters.yaml"))["controller"]}
+    assert replay(out / "bag", parts).same
+    rng = np.random.Generator(np.random.PCG64(7))
+    for case in range(3):
+        k, bit, reader = int(rng.integers(STEPS)), int(rng.integers(64)), BagReader(out / "bag")
+        with BagWriter(tmp_path / f"bad{case}") as bad:
+            for raw in reader.messages():
+                bad.add_topic(raw.topic, raw.type)
+                data = raw.data
+                if raw.topic == f"{ZONE}/inputs" and (message := from_cdr(data, raw.type)).k == k:
+                    values = np.array(message.values)
+                    values.view(np.uint64)[0] ^= np.uint64(1 << bit)
+                    message.values = values.tolist()
+                    data = to_cdr(message)
+                bad.write(raw.topic, data, raw.log_time, raw.publish_time)
+        (found,) = replay(tmp_path / f"bad{case}", parts).differences
+        assert (found.topic, found.k, found.field) == ("inputs", k, "values[0]")
 
 
 def test_the_monitor_logs_its_reports(recorded):
