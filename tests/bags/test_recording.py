@@ -56,7 +56,7 @@ def with_epoch(message, epoch):
 
 @pytest.fixture(params=[1, 2, 3])
 def bag(make, tmp_path, request, monkeypatch):
-    monkeypatch.setattr(columns, "_ROWS", 16)  # many pieces, so that what is wanted is spread over them
+    monkeypatch.setattr(columns, "_PIECE", 1000)  # many pieces, so that what is wanted is spread over them
     make.write_bag(tmp_path / "bag", difficult(make, request.param), metadata={"seed": "3"})
     return tmp_path / "bag"
 
@@ -128,7 +128,7 @@ def test_stretches_give_the_same_picture_and_parquet(make, tmp_path, monkeypatch
 @pytest.mark.parametrize("seed", [3, 4])
 def test_the_first_of_what_came_twice_counts_and_late_inputs_are_found(make, tmp_path, monkeypatch, seed):
     """Against the plain rule, message by message, instead of against ourselves."""
-    monkeypatch.setattr(columns, "_ROWS", 16)
+    monkeypatch.setattr(columns, "_PIECE", 1000)
     messages = difficult(make, seed)
     s = messages[0][1].s
     make.write_bag(tmp_path / "bag", messages)

@@ -18,7 +18,7 @@ Keys = NDArray[np.int64]  # one ordered number for (epoch, k)
 NO_KEY = -1
 LAST_KEY = np.iinfo(np.int64).max
 K_BITS = 40
-_ROWS = 4096  # messages that are kept together
+_PIECE = 1 << 19  # bytes that are written together
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Columns:
         columns = [k.astype(np.int64), stamps(block), *map(block.column, list(self._place)[2:])]
         self._waiting.append((block.column("epoch", np.int64, 0), columns, self._vectors(block, k)))
         self.count += len(block)
-        if sum(len(epoch) for epoch, *_ in self._waiting) >= _ROWS:
+        if 8 * sum(map(len, (epoch for epoch, *_ in self._waiting))) * (len(columns) + self.width) >= _PIECE:
             self._write()
 
     def _vectors(self, block: Block, k: NDArray[np.uint64]) -> Array:

@@ -21,7 +21,7 @@ from .run import NO_MODE, PROPERTIES, REPORT_FIELDS, STATE_FIELDS, Array, Report
 from .spill import Spill
 from .writer import RUN_METADATA
 
-SAMPLES = 8192  # of a stretch
+SAMPLES = 8192  # of a stretch, or fewer where there are many channels
 _VERDICT_NUMBERS = ("verdict", "lambda_star_re", "lambda_star_im", "margin")
 _VERDICT_FIELDS = tuple(f"{p}.{number}" for p in PROPERTIES for number in _VERDICT_NUMBERS)
 
@@ -75,13 +75,17 @@ class Recording:
         """Removes the temporary file."""
         self._spill.close()
 
-    def stretches(self, samples: int = SAMPLES) -> Iterator[Run]:
-        """Yields the run in stretches of so many samples, the last one of what is left; may be asked for repeatedly.
+    def stretches(self, samples: int = 0) -> Iterator[Run]:
+        """Yields the run in stretches, the last one of what is left; may be asked for repeatedly.
+
+        Args:
+            samples: of a stretch; 0 = as many as fit in a few megabytes.
 
         Raises:
             BagError: if the temporary file cannot be read.
         """
         about = self._about()
+        samples = samples or max(min(SAMPLES, 400_000 // max(self._outputs.width + self._inputs.width, 1)), 1)
         first, reported, after, asked = 0, 0, 0, np.full(self._outputs.width, np.nan)
         for keys, following in self._outputs.stretches(samples):
             references = self._references.within(after, following)
