@@ -47,7 +47,9 @@ class Truth:
     def look(self):
         """Takes what has arrived; call it after every message. True when a sample is complete."""
         outputs, state = self._observer.outputs, self._observer.state
-        if outputs is None or state is None or outputs.k != state.k or (self.y and self.y[-1][0] == outputs.k):
+        if outputs is None or state is None or (outputs.epoch, outputs.k) != (state.epoch, state.k):
+            return False
+        if self.y and self.y[-1][0] == outputs.k:
             return False
         if outputs.held or not state.input or (self.y and self.y[-1][0] != outputs.k - 1):
             self.y.clear()
@@ -60,6 +62,8 @@ class Truth:
     def error(self):
         """Largest error of the plan's outputs, relative to the largest output planned; None without a plan."""
         state, p = self._observer.state, len(self.C)
+        if not self.y:
+            return None
         u = dict(self.u)
         first = self.y[0][0] + 1  # u of the first output is not among those seen
         samples = [(k, y) for k, y in self.y if k >= first]

@@ -106,7 +106,8 @@ def plant_info(plant: Plant, epoch: int, *, lockstep: bool, speed: float = 1.0) 
 class PlantNode(ManagedNode):
     """Publishes plant_info, then outputs k as soon as the inputs up to k+s-1 are known; /clock in lockstep.
 
-    lockstep: every inputs message of the index waited for makes one step; anything else is refused and counted.
+    lockstep: every inputs message of the index waited for makes one step; anything else is refused and counted. When
+    the controller it follows is gone and another one claims the plant, a new epoch begins where the last one stopped.
     realtime: from the first inputs on, one step every Ts / speed; when no inputs came for a tick, the last are held
     and the outputs say for how long.
     """
@@ -155,7 +156,8 @@ class PlantNode(ManagedNode):
         self._outputs = self.advertise(topics.OUTPUTS, lockstep=lockstep, sample_time=Ts, readers=readers)
         self._clock_topic = self.advertise(topics.CLOCK) if lockstep else None
         self.subscribe(topics.INPUTS, self._on_inputs, lockstep=lockstep)
-        self._claimants = Claimants(self)
+        heed = self.guarded(lambda _: self._heed_claims())
+        self._claimants = Claimants(self, lambda: heed(None))
         self.resources.callback(self._claimants.destroy)
         self._timer = None
         self._diagnostics = Diagnostics(self, self.plant.name)
@@ -164,23 +166,36 @@ class PlantNode(ManagedNode):
     def activate(self) -> None:
         """Starts the run: a fresh plant, its description, then it waits for inputs 0."""
         # Somebody who starts again in real time must not be taken for the run before.
-        self._epoch = self._epoch + 1 if self._lockstep else self.get_clock().now().nanoseconds // 10**9 % 2**32
+        epoch = self._epoch + 1 if self._lockstep else self.get_clock().now().nanoseconds // 10**9 % 2**32
         self._stepper = self.plant.start(self.p["seed"])
-        self._k = 0  # the next inputs to take
         self._status = ""
         self._last: np.ndarray | None = None
+        self._wall = 0.0 if self._lockstep else self.plant.sample_time / self.p["speed"]
+        self._ticked, self._took = math.nan, 0.0
+        self._begin(epoch, self._period if self._lockstep else self.get_clock().now().nanoseconds)
+
+    def _begin(self, epoch: int, start_ns: int) -> None:
+        """A new epoch of the plant as it is now, for whoever commands it first."""
+        self._epoch, self._start_ns = epoch, start_ns
+        self._k = 0  # the next inputs to take
         self._held = 0
         self._pending: dict[int, np.ndarray] = {}
-        wall = 0.0 if self._lockstep else self.plant.sample_time / self.p["speed"]
-        self._owner, self._health = Owner(self._claimants, 2.0 * wall), Health(wall)
-        self._wall = wall
-        self._ticked, self._took = math.nan, 0.0
-        self._start_ns = self._period if self._lockstep else self.get_clock().now().nanoseconds
+        self._owner, self._health = Owner(self._claimants, 2.0 * self._wall), Health(self._wall)
         speed = 1.0 if self._lockstep else self.p["speed"]
-        info = plant_info(self.plant, self._epoch, lockstep=self._lockstep, speed=speed)
-        info.header.stamp = stamp(self._start_ns)
+        info = plant_info(self.plant, epoch, lockstep=self._lockstep, speed=speed)
+        info.header.stamp = stamp(start_ns)
         self._info.publish(info)
-        self.get_logger().info(f"{self.plant.name}: waiting for inputs 0 ({self.p['mode']})")
+        self.get_logger().info(f"{self.plant.name}: waiting for inputs 0 of epoch {epoch} ({self.p['mode']})")
+
+    def _heed_claims(self) -> None:
+        """Lockstep waits for one controller, and another one cannot know at which inputs: it begins a new epoch."""
+        followed = self._owner.sender
+        if not self._lockstep or followed is None or self._claimants.alive(followed):
+            return
+        successor = self._claimants.commander()
+        if successor is not None and self._claimants.settled(successor.id):
+            self.get_logger().warning(f"{self._claimants.who(followed)} is gone: {successor.who} gets a new epoch")
+            self._begin(self._epoch + 1, self._time(self._k))
 
     def deactivate(self) -> None:
         """Stops the clock of a real-time run."""
@@ -207,7 +222,7 @@ class PlantNode(ManagedNode):
         reason = refusal(msg, len(self.plant.input_names))
         if not reason and msg.epoch != self._epoch:
             reason = f"epoch {msg.epoch} instead of {self._epoch}"
-        if not reason and (reason := self._owner.refusal(int(msg.sender))):
+        if not reason and (reason := self._owner.refusal(int(msg.sender), final=self._lockstep)):
             self.foreign += 1
         if not reason and not (msg.k == self._k if self._lockstep else self._k <= msg.k < self._k + _AHEAD):
             reason = f"inputs {msg.k} when {self._k} are expected"
@@ -306,8 +321,8 @@ class PlantNode(ManagedNode):
         y = self._stepper.push(u)
         self._k += 1
         self._tell()
-        if y is not None:
-            k = self._k - max(int(self.plant.prior.s), 1)
+        k = self._k - max(int(self.plant.prior.s), 1)
+        if y is not None and k >= 0:  # outputs that depend on inputs of two epochs belong to none
             sender = 0 if self._held == Sample.OWN_INPUT else self._owner.sender or 0
             self._outputs.publish(pack(self.plant.name, self._epoch, k, y, self._time(k), self._held, sender))
         if self.finished:

@@ -52,6 +52,23 @@ def test_the_stream_says_what_the_batch_says(order):
     assert last.r_observability.verdict is Verdict.PROVED
 
 
+def test_in_lockstep_outputs_wait_for_their_inputs_however_long_those_are_on_their_way():
+    inputs = excitation(100)
+    outputs = stream(inputs)
+    live = LiveMonitor(PRIOR, window=200, period=20, lockstep=True)
+    for k in range(50):  # somebody who joined late: input 0 has gone by
+        live.output(k, outputs[k])
+    for k in range(1, 50):
+        live.input(k, [inputs[k]])
+    for k in range(50, 100):
+        assert not live.output(k, outputs[k])
+    jobs = [job for k in range(50, 100) for job in live.input(k, [inputs[k]])]
+    assert [job.k for job in jobs] == [59, 79, 99]
+    ((u, y),) = live.records()
+    np.testing.assert_array_equal(u[:, 0], inputs[1:])
+    np.testing.assert_array_equal(y, outputs[1:])
+
+
 def test_a_gap_costs_columns_and_no_more():
     inputs = excitation(80)
     live = LiveMonitor(PRIOR, window=200, period=80)

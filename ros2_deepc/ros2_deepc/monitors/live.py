@@ -88,17 +88,19 @@ class LiveMonitor:
     Args:
         prior: what is known of the plant.
         form: whether the values themselves are analysed, or their changes; see `increments`.
+        lockstep: inputs come in order and none is lost: outputs wait until theirs are there, or later ones.
         settings: window, period, noise, L, enter; see `LiveSettings`.
 
     Raises:
         ValueError: if the noise on changes is to be estimated.
     """
 
-    def __init__(self, prior: Prior, *, form: Form = "absolute", **settings: Any) -> None:
-        self.prior, self.form = prior, form
+    def __init__(self, prior: Prior, *, form: Form = "absolute", lockstep: bool = False, **settings: Any) -> None:
+        self.prior, self.form, self._lockstep = prior, form, lockstep
         self.settings = self._checked(LiveSettings(**settings))
         self._changes: deque[tuple[int, LiveSettings]] = deque()
         self._commands: dict[int, Array] = {}
+        self._latest = -1  # the input that came last
         self._inputs: dict[int, Array] = {}  # those that did act, by the plant's own word: a late command acts later
         self._waiting: deque[tuple[int, Array, int]] = deque()
         self._outputs: deque[tuple[int, Array]] = deque(maxlen=self.settings.window)
@@ -114,6 +116,7 @@ class LiveMonitor:
     def input(self, k: int, u: ArrayLike) -> list[Job]:
         """Takes the input commanded for k, shape (m,); returns the analyses that are due."""
         self._commands[k] = np.array(u, dtype=np.float64)
+        self._latest = k
         return self._drain()
 
     def output(self, k: int, y: ArrayLike, held: int = 0) -> list[Job]:
@@ -191,7 +194,8 @@ class LiveMonitor:
             k, y, held = self._waiting[0]
             newest = k + self.prior.s - 1
             acted = self._commands.get(newest - held)
-            if acted is None and len(self._waiting) <= _PATIENCE:
+            to_come = self._lockstep and self._latest < newest - held
+            if acted is None and (to_come or len(self._waiting) <= _PATIENCE):
                 break
             self._waiting.popleft()
             if acted is not None:

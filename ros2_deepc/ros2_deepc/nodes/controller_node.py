@@ -158,11 +158,11 @@ class ControllerNode(ManagedNode):
 
         The plant decides whom it follows; where it does not say so, the claim that is older stands.
         """
-        if self._follows == self._holder.id:
+        if self._follows in self._holder.ids:
             return ""
         if self._follows and self._claimants.alive(self._follows):
             return self._claimants.who(self._follows)
-        other = self._claimants.commander(other_than=self._holder.id)
+        other = self._claimants.commander(other_than=self._holder.ids)
         return "" if other is None or (self._commands() and self._holder.precedes(other)) else other.who
 
     def _heed_claims(self) -> None:

@@ -81,7 +81,7 @@ def make_live(parameters: Mapping[str, Any], info: PlantInfo) -> LiveMonitor:
     p = len(info.output_names)
     D = np.reshape(info.d, (p, len(info.input_names))) if info.d_known else None
     prior = Prior(q=given["q"] or int(info.q), s=given["s"] or max(int(info.s), 1), n=int(info.n), D=D)
-    return LiveMonitor(prior, form=given["form"], **_settings(given, p))
+    return LiveMonitor(prior, form=given["form"], lockstep=bool(info.lockstep), **_settings(given, p))
 
 
 def change_live(live: LiveMonitor, k: int, parameters: Mapping[str, Any], info: PlantInfo) -> None:

@@ -8,11 +8,12 @@ process dead after its first lease. Nodes do not wait for DDS's liveliness event
 them and crash EventsExecutor when an entity is destroyed beside them; they look at each heartbeat of their own.
 """
 
+import math
 import os
 import secrets
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Container
 
 from deepc_msgs.msg import Claim
 from rclpy.clock import Clock, ClockType
@@ -44,13 +45,14 @@ class Claimants:
 
     Args:
         node: on which to listen.
-        changed: called after every claim that says something new.
+        heard: called after every claim, also those that say nothing new: by then another one may have run out.
     """
 
-    def __init__(self, node: Node, changed: Callable[[], None] = lambda: None) -> None:
-        self._node, self._changed = node, changed
+    def __init__(self, node: Node, heard: Callable[[], None] = lambda: None) -> None:
+        self._node, self._heard = node, heard
         self._claims: dict[int, Claim] = {}
         self._seen: dict[int, float] = {}
+        self._first: dict[int, float] = {}
         self._subscription = node.create_subscription(
             topics.CLAIM.type,
             topics.CLAIM.name,
@@ -63,13 +65,17 @@ class Claimants:
         claim, seen = self._claims.get(sender), self._seen.get(sender)
         return (claim is None or claim.commands) and seen is not None and time.monotonic() - seen < patience
 
+    def settled(self, sender: int) -> bool:
+        """Whether a sender has been known for long enough that its other topics are known, too."""
+        return time.monotonic() - self._first.get(sender, math.inf) > _BEAT / 2
+
     def note(self, sender: int) -> None:
         """Another sign of life: inputs of that sender, heard before its claim or beside it."""
         self._seen[sender] = time.monotonic()
 
-    def commander(self, other_than: int = 0) -> Claim | None:
+    def commander(self, other_than: Container[int] = ()) -> Claim | None:
         """Whoever claims to command now, the earliest first; None if nobody does."""
-        there = [claim for sender, claim in self._claims.items() if sender != other_than and self.alive(sender)]
+        there = [claim for sender, claim in self._claims.items() if sender not in other_than and self.alive(sender)]
         return min(there, key=_seniority, default=None)
 
     def who(self, sender: int) -> str:
@@ -82,11 +88,10 @@ class Claimants:
         self._node.destroy_subscription(self._subscription)
 
     def _on_claim(self, msg: Claim) -> None:
-        before = self._claims.get(int(msg.id))
         self._claims[int(msg.id)] = msg
+        self._first.setdefault(int(msg.id), time.monotonic())
         self.note(int(msg.id))
-        if before != msg:
-            self._changed()
+        self._heard()
 
 
 class Owner:
@@ -101,11 +106,16 @@ class Owner:
         self._claimants, self._patience = claimants, max(patience, LEASE)
         self.sender: int | None = None
 
-    def refusal(self, sender: int) -> str:
-        """Why inputs of a sender are not taken, in one line; empty if they may be."""
+    def refusal(self, sender: int, *, final: bool = False) -> str:
+        """Why inputs of a sender are not taken, in one line; empty if they may be.
+
+        Args:
+            sender: who sent them.
+            final: whether the first sender is followed to the end, gone or not.
+        """
         if self.sender is None or self.sender == sender:
             return ""
-        if not self._claimants.alive(self.sender, LEASE if self.sender else self._patience):
+        if not final and not self._claimants.alive(self.sender, LEASE if self.sender else self._patience):
             return ""
         return f"{self._claimants.who(self.sender)} commands the plant, not {self._claimants.who(sender)}"
 
@@ -129,6 +139,8 @@ class Holder:
     def __init__(self, node: Node, commands: Callable[[], bool], beside: Callable[[], None] = lambda: None) -> None:
         self._node, self._commands, self._beside = node, commands, beside
         self._held = False
+        self.ids: set[int] = set()
+        """Of all activations: news of an earlier one may still be on its way, and are not from somebody else."""
         self.claim = Claim(who=f"{node.get_fully_qualified_name()}, process {os.getpid()} on {socket.gethostname()}")
         self._publisher = node.create_publisher(topics.CLAIM.type, topics.CLAIM.name, _profile(1))
         self._timer = node.create_timer(_BEAT, self._on_beat, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -145,6 +157,7 @@ class Holder:
     def take(self) -> None:
         """Claims the plant, as somebody new."""
         self.claim.id = secrets.randbits(63) + 1
+        self.ids.add(self.id)
         self.claim.header.stamp = stamp(time.time_ns())
         self._held = True
         self.beat()
