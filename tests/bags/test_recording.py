@@ -5,12 +5,13 @@
 import errno
 import json
 import tempfile
+import tracemalloc
 from dataclasses import fields
 
 import numpy as np
 import pytest
 
-from ros2_deepc.bags import BagError, Recording, columns, load_run, spill, summarize
+from ros2_deepc.bags import BagError, Recording, columns, load_run, recording, spill, stretches, summarize
 from ros2_deepc.bags.export import export
 from ros2_deepc.bags.panels import page_data
 from ros2_deepc.bags.quantiles import Quantiles
@@ -76,9 +77,9 @@ REPORT_ROWS = ("epoch", "k", "t", "row", "verdict", "lambda_star", "margin", "se
 @pytest.mark.parametrize("size", SIZES)
 def test_stretches_hold_the_same_samples(bag, size):
     whole = load_run(bag)
-    with Recording(bag) as recording:
-        parts = list(recording.stretches(size))
-        assert len(recording) == len(whole)
+    with Recording(bag) as recorded:
+        parts = list(recorded.stretches(size))
+        assert len(recorded) == len(whole)
     assert [len(part) for part in parts[:-1]] == [size] * (len(parts) - 1)
     assert [part.first for part in parts] == list(range(0, len(whole), size))
     for name in ROWS:
@@ -95,12 +96,12 @@ def test_stretches_hold_the_same_samples(bag, size):
 def test_stretches_give_the_same_summary_page_and_table(bag, size, tmp_path, monkeypatch):
     whole = load_run(bag)
     monkeypatch.setattr(Recording.stretches, "__defaults__", (size,))
-    with Recording(bag) as recording:
-        assert summarize(recording) == summarize(whole)
-        assert summarize(recording)["loop_hash"] == whole.loop_hash
-        assert json.dumps(page_data(Trends.of(recording))) == json.dumps(page_data(Trends.of(whole)))
-        assert Trends.of(recording).events.first == Trends.of(whole).events.first
-        export(recording, tmp_path / "stretches.csv")
+    with Recording(bag) as recorded:
+        assert summarize(recorded) == summarize(whole)
+        assert summarize(recorded)["loop_hash"] == whole.loop_hash
+        assert json.dumps(page_data(Trends.of(recorded))) == json.dumps(page_data(Trends.of(whole)))
+        assert Trends.of(recorded).events.first == Trends.of(whole).events.first
+        export(recorded, tmp_path / "stretches.csv")
         export(whole, tmp_path / "whole.csv")
     assert (tmp_path / "stretches.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
 
@@ -112,8 +113,8 @@ def test_stretches_give_the_same_picture_and_parquet(make, tmp_path, monkeypatch
     make.write_bag(tmp_path / "bag", difficult(make, 3))
     whole = load_run(tmp_path / "bag")
     monkeypatch.setattr(Recording.stretches, "__defaults__", (50,))
-    with Recording(tmp_path / "bag") as recording:
-        export(recording, tmp_path / f"stretches.{ending}")
+    with Recording(tmp_path / "bag") as recorded:
+        export(recorded, tmp_path / f"stretches.{ending}")
     export(whole, tmp_path / f"whole.{ending}")
     if ending == "png":
         assert (tmp_path / "stretches.png").read_bytes() == (tmp_path / "whole.png").read_bytes()
@@ -139,8 +140,8 @@ def test_the_first_of_what_came_twice_counts_and_late_inputs_are_found(make, tmp
             first.setdefault((name, message.epoch, message.k), list(message.values))
         if name == "outputs":
             held.setdefault((message.epoch, message.k), message.held)
-    with Recording(tmp_path / "bag") as recording:
-        for part in recording.stretches(13):
+    with Recording(tmp_path / "bag") as recorded:
+        for part in recorded.stretches(13):
             for epoch, k, y, u in zip(part.epoch, part.k, part.y, part.u, strict=True):
                 assert first["outputs", epoch, k] == y.tolist()
                 told = held.get((epoch, k - s + 1)) if k >= s - 1 else 0
@@ -212,6 +213,38 @@ def test_a_wild_index_costs_nothing(make, tmp_path):
     np.testing.assert_array_equal(load_run(tmp_path / "bag").k, [0, 1, 3, 2**39])
 
 
+def test_memory_does_not_grow_with_the_run(make, tmp_path, monkeypatch):
+    """Every allocation counted; benchmarks/bags.py shows the same of whole processes, at a million samples."""
+    monkeypatch.setattr(spill, "IN_MEMORY", 10_000)
+    monkeypatch.setattr(columns, "_PIECE", 50_000)
+    monkeypatch.setattr(recording, "SAMPLES", 200)
+    monkeypatch.setattr(stretches, "_PARTS", 5)
+    for kind in (Thin, Strip):  # what is drawn has an end, too, which these lengths are to be beyond
+        monkeypatch.setattr(kind.__init__, "__defaults__", (100,))
+    peaks = {}
+    for K in (2000, 8000):
+        messages = make.run_messages(*make.simulate(K, 1, 1000), 1000)
+        make.write_bag(tmp_path / f"{K}", messages, chunk_size=100_000)
+        del messages
+        for name, work in (("report", report_of), ("csv", csv_of), ("array", load_run)):
+            tracemalloc.start()
+            work(tmp_path / f"{K}")
+            peaks[name, K] = tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
+    assert peaks["report", 8000] < 1.1 * peaks["report", 2000]
+    assert peaks["csv", 8000] < 1.1 * peaks["csv", 2000]
+    assert peaks["array", 8000] > 2 * peaks["array", 2000], "what grows is seen to grow"
+
+
+def report_of(bag):
+    write_report(bag, bag / "r.html")
+
+
+def csv_of(bag):
+    with Recording(bag) as recorded:
+        export(recorded, bag / "r.csv")
+
+
 def test_no_room_for_the_temporary_file_is_one_line(record, monkeypatch):
     """A full disk for real: the device that always is."""
     bag = record(K=60).folder
@@ -228,6 +261,6 @@ def test_the_temporary_file_is_gone_afterwards(record, tmp_path, monkeypatch):
     folder.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     monkeypatch.setattr(spill, "IN_MEMORY", 100)
-    with Recording(record(K=60).folder) as recording:
-        assert sum(1 for _ in recording.stretches(7)) == 9
+    with Recording(record(K=60).folder) as recorded:
+        assert sum(1 for _ in recorded.stretches(7)) == 9
     assert list(folder.iterdir()) == []

@@ -42,6 +42,11 @@ class Messages:
         for channel, log_time, publish_time, a, b in zip(*(c.tolist() for c in columns), strict=True):
             yield channel, log_time, publish_time, self.data[a:b]
 
+    @property
+    def last(self) -> bytes:
+        """Bytes of the last message; empty if there is none."""
+        return self.data[self.start[-1] : self.start[-1] + self.size[-1]] if len(self) else b""
+
     def rows(self, which: NDArray[Any]) -> Self:
         """Some of the messages: indices or a mask."""
         columns = (self.start, self.size, self.channel, self.log_time, self.publish_time)

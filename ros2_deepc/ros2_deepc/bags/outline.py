@@ -168,7 +168,7 @@ class Block:
     def __init__(self, messages: Messages, outlines: Outliner) -> None:
         self._n = len(messages)
         self.log_time = messages.log_time
-        self.last = next((data for *_, data in messages.rows(np.array([-1]))), b"") if self._n else b""
+        self.last = messages.last
         self.bad: list[tuple[int, str]] = []
         self._groups = list(self._grouped(messages, outlines))
 

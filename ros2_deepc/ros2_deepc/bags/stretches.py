@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
 POINTS = 4000  # more cannot be told apart on a screen
+_PARTS = 100  # small arrays that are kept before they become one
 
 
 class Thin:
@@ -51,6 +52,9 @@ class Thin:
         keep |= (row == 0) | (row == self._total - 1)
         last = np.arange(len(row)) >= starts[-1]
         self._done.append((x[keep & ~last], y[keep & ~last]))
+        if len(self._done) > _PARTS:
+            x_done, y_done = zip(*self._done, strict=True)
+            self._done = [(np.concatenate(x_done), np.concatenate(y_done))]
         self._open = row[keep & last], x[keep & last], y[keep & last]
 
     def points(self) -> tuple[Array, Array]:
