@@ -231,8 +231,8 @@ def test_memory_does_not_grow_with_the_run(make, tmp_path, monkeypatch):
             work(tmp_path / f"{K}")
             peaks[name, K] = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
-    assert peaks["report", 8000] < 1.1 * peaks["report", 2000]
-    assert peaks["csv", 8000] < 1.1 * peaks["csv", 2000]
+    assert peaks["report", 8000] < 1.3 * peaks["report", 2000]
+    assert peaks["csv", 8000] < 1.3 * peaks["csv", 2000]
     assert peaks["array", 8000] > 2 * peaks["array", 2000], "what grows is seen to grow"
 
 
