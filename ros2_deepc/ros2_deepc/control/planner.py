@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a predictor to plans: the program, its solvers, and what to do when (6.1c) cannot hold."""
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ RESTLESS = "no plan within the limits ends at rest: what is missing is priced"
 FEASIBLE = 1e-6  # a terminal condition missed by less than this, relative to the signals' size, holds
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
+class Plan(NamedTuple):
     """A checked plan; inputs and outputs are worked out from the solution when they are asked for.
 
     Attributes:
@@ -171,7 +170,7 @@ class Planner:
         said = f"{said}; {remark}" if remark else said
         if plan is None:
             return None, said
-        return replace(plan, remark=said), said
+        return plan._replace(remark=said), said
 
     def _unmet(self, w: Array, r: Array) -> Array:
         """Zero if (6.1c) can hold, else the least each output must miss it by."""

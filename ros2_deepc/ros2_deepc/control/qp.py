@@ -112,6 +112,7 @@ def _osqp_settings(H: Array, *, boxed: bool) -> Any:
     settings.eps_abs = settings.eps_rel = min(max(ACCURACY * least / largest, EPS[0]), EPS[1])
     if boxed:
         settings.scaling, settings.rho = 0, STEP * math.sqrt(least * largest)
+        settings.check_termination, settings.alpha = 5, 1.5
     else:
         settings.alpha, settings.adaptive_rho_tolerance = 1.8, 2.0
     return settings
