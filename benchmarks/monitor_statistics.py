@@ -4,9 +4,9 @@
 
     python benchmarks/monitor_statistics.py             # all tables, minutes
     python benchmarks/monitor_statistics.py --share 0.1 # a tenth of the plants
-    python benchmarks/monitor_statistics.py noise       # one table
+    python benchmarks/monitor_statistics.py near        # one table
 
-Exits with 1 if a claim is broken; each broken claim is printed.
+Exits with 1 if a claim is broken; each broken claim is printed. Rates under noise: `noise_rates.py`.
 """
 
 import argparse
@@ -175,25 +175,6 @@ def near(n: int) -> Table:
     return Table(lines, broken)
 
 
-CELLS = (
-    (1, 1, 2, 1, 200),
-    (3, 2, 4, 1, 100),
-    (3, 2, 6, 1, 200),
-    (2, 2, 4, 2, 200),
-    (3, 2, 4, 1, 1000),
-    (10, 10, 20, 1, 1000),
-)
-LARGE = 10
-"""Slow dimension from which a tenth of the plants must do, if that is any."""
-
-
-def interval(hits: int, n: int) -> str:
-    """95 % confidence interval of a share (Wilson) in percent."""
-    z, share = 1.96, hits / n
-    middle, half = share + z * z / (2 * n), z * np.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
-    return f"{100 * (middle - half) / (1 + z * z / n):.0f}-{100 * (middle + half) / (1 + z * z / n):.0f}"
-
-
 def with_noise(y: np.ndarray, decibel: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     std = np.sqrt(np.mean(y**2, axis=0)) * 10 ** (-decibel / 20)
     return y + std * rng.standard_normal(y.shape), std
@@ -228,42 +209,6 @@ def noise_bound(n: int) -> Table:
     lines.append(f"{'all':28} {total:7} {above:11}")
     if above > 0.001 * total + 3 * np.sqrt(0.001 * total) + 1:
         broken.append(f"noise norm above its bound in {above} of {total} windows")
-    return Table(lines, broken)
-
-
-def noise(n: int) -> Table:
-    lines = [
-        f"{'noise (m,p,q,s,T)':22} {'dB':>4} {'plants':>7} PROVED (95 %)  level estimated | false PROVED, both ways"
-    ]
-    broken = []
-    everywhere = n
-    for cell, (m, p, q, s, T) in enumerate(CELLS):
-        n = everywhere if q < LARGE else everywhere // 10
-        if not n:
-            continue
-        for decibel in (40, 60, 80, 100):
-            count: Counter[tuple[bool, bool]] = Counter()
-            for i in range(n):
-                for bad in (False, True):
-                    rng = generator(4, cell, i, bad)
-                    cut = [complex(rng.uniform(-1, 1))] if bad else []
-                    plant = random_system(m=m, p=p, q=q, blocks=(s,), uncontrollable=cut, seed=rng)
-                    u, y = record(plant, T + 1, rng)
-                    y, std = with_noise(y, decibel, rng)
-                    for estimated in (False, True):
-                        level = None if estimated else std
-                        report = analyze(u, y, prior=Prior(q=q, s=s), noise=level)
-                        count[bad, estimated] += report.r_controllability.verdict == PROVED
-            rates = [f"{100 * count[False, e] / n:.0f}% ({interval(count[False, e], n)})" for e in (False, True)]
-            false = [count[True, e] for e in (False, True)]
-            label = f"({m},{p},{q},{s},{T})"
-            lines.append(
-                f"{label:22} {decibel:4} {n:7} {rates[0]:>15} {rates[1]:>15} | {false[0]:5} {false[1]:5} of {n}"
-            )
-            if any(false):
-                broken.append(f"{sum(false)} uncontrollable plants PROVED at {decibel} dB, {label}")
-            if any(false):
-                broken.append(f"false PROVED at {label}, {decibel} dB: {false}")
     return Table(lines, broken)
 
 
@@ -392,7 +337,6 @@ TABLES: dict[str, tuple[Callable[[int], Table], int]] = {
     "printed": (printed, 1500),
     "near": (near, 200),
     "noise_bound": (noise_bound, 2000),
-    "noise": (noise, 400),
     "undeclared": (undeclared, 100),
     "wrong_prior": (wrong_prior, 600),
     "closed_loop": (closed_loop, 200),

@@ -12,9 +12,14 @@ def as_signal(w: ArrayLike, name: str = "signal") -> Array:
     """Returns ``w`` as a finite float64 array of shape (T, d); a vector of length T becomes (T, 1).
 
     Raises:
-        ValueError: if ``w`` is not one- or two-dimensional, or holds a NaN or an infinity.
+        ValueError: if ``w`` is not one- or two-dimensional, or holds a NaN, an infinity or no real number.
     """
-    a = np.asarray(w, dtype=np.float64)
+    if np.iscomplexobj(w):
+        raise ValueError(f"{name} must be real, got complex numbers")
+    try:
+        a = np.asarray(w, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must hold numbers in the shape (T, d): {error}") from error
     if a.ndim == 1:
         a = a[:, None]
     if a.ndim != 2:

@@ -16,7 +16,7 @@ from .fast import whole_state
 from .noise import Noise, as_noise
 from .printed import PrintedTheorems
 from .source import Factor, Source, from_factor, from_records
-from .theorems import SLOW, Outcome, better, decide, merge, nothing
+from .theorems import SLOW, Outcome, better, decide, merge, nothing, withhold
 from .verdict import Prior, Report, StructureEstimate, Verdict
 
 ROWS = 700
@@ -177,6 +177,8 @@ def _at(source: Source, prior: Prior, L: int, noise: Noise) -> Tried:
     def fits(before: int) -> bool:
         return noise.averages and source.columns(L, d, before) > source.m * (d + before)
 
+    if not source.varied(d, q):
+        return Tried(withhold(look(), names, q), data, level)
     if not fits(past):
         return Tried(look(), data, level)
     outcome = merge(look(search=False), look(past))

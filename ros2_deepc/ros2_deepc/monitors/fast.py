@@ -11,7 +11,7 @@ import numpy as np
 from .compress import Array
 from .noise import Noise
 from .source import Source
-from .theorems import WHOLE, Outcome, decide
+from .theorems import WHOLE, Outcome, decide, withhold
 from .verdict import Finding, Prior, StructureEstimate, Verdict
 
 Pair = tuple[Finding, Finding]
@@ -68,7 +68,10 @@ def _with_feedthrough(source: Source, prior: Prior, L: int, noise: Noise, level:
         blank = _blank(f"{need - have} more columns needed: {have} cannot show rank {need - 1} at L = {L}")
         return blank, blank
     data = source.without_feedthrough(D).window(L, L)
-    outcome = decide(data, prior.n, noise.hankel_bound(data, level), replace(WHOLE, bound=noise.wording))
+    names = replace(WHOLE, bound=noise.wording)
+    outcome = decide(data, prior.n, noise.hankel_bound(data, level), names)
+    if not source.varied(L, prior.n):
+        outcome = withhold(outcome, names, prior.n)
     return outcome.controllability, outcome.observability
 
 

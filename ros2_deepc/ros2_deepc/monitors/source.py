@@ -64,6 +64,15 @@ class Source(ABC):
         """Whether the inputs are persistently exciting of that order, all records together."""
         return order < 1 or (self.wide(order) and excites(triangle(self.inputs(order))))
 
+    def varied(self, d: int, q: int) -> bool:
+        """Whether the inputs differ enough for what q directions do not fill to show, as far as the length can tell.
+
+        Inputs that repeat after P samples have P different columns. With m d + q of them the inputs and q directions
+        span everything that repeats likewise, an offset of the outputs too: it would then pass for a response.
+        """
+        order = next((k for k in range(d + q // self.m + 1, d, -1) if self.wide(k)), d)
+        return order == d or self.exciting(order)
+
     @abstractmethod
     def weighted(self, weights: Array) -> Source:
         """The same data with outputs divided by weights, shape (p,)."""
@@ -218,7 +227,9 @@ def from_factor(factor: ArrayLike, m: int, p: int, columns: int) -> Factor:
 
 
 def _rms(parts: list[Array]) -> Array:
-    """Root mean square of each column over all parts, 1 where it is zero."""
+    """Root mean square of each column over all parts, 1 where it is zero; of any size, hence by the peak."""
+    peak = np.max([np.abs(w).max(axis=0, initial=0.0) for w in parts], axis=0)
+    peak = np.where(peak > 0, peak, 1.0)
     count = max(1, sum(len(w) for w in parts))
-    value = np.sqrt(sum(np.sum(w**2, axis=0) for w in parts) / count)
-    return np.where(value > 0, value, 1.0)
+    value = np.sqrt(sum(np.sum((w / peak) ** 2, axis=0) for w in parts) / count)
+    return np.where(value > 0, peak * value, 1.0)

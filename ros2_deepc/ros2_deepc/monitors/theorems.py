@@ -83,6 +83,22 @@ def nothing(reason: str, required: int = 0, eps: float = float("nan")) -> Outcom
     return Outcome(blank, blank, (), 0, eps, False)
 
 
+def withhold(outcome: Outcome, names: Names, q: int) -> Outcome:
+    """The outcome without its proofs: of inputs that could hide what contradicts the prior."""
+    reason = (
+        f"the inputs repeat themselves too soon, what contradicts {names.order} = {q} could hide in them: "
+        "give them a longer period, or none"
+    )
+
+    def without(finding: Finding) -> Finding:
+        proved = finding.verdict is Verdict.PROVED
+        return replace(finding, verdict=Verdict.UNDECIDED, reason=reason) if proved else finding
+
+    return replace(
+        outcome, controllability=without(outcome.controllability), observability=without(outcome.observability)
+    )
+
+
 def better(a: Outcome, b: Outcome) -> bool:
     """Whether outcome a says more than b."""
     return _worth(a.controllability) > _worth(b.controllability)
