@@ -4,6 +4,7 @@
 
 import sys
 
+import numpy as np
 import pytest
 from std_msgs.msg import Float64
 
@@ -133,6 +134,16 @@ def test_bad_targets_and_options(deepc, bad, arguments, hint):
 def test_a_target_is_looked_at_before_the_bag_is_read(deepc, bad):
     one_line(deepc("report", "nowhere", "--out", "none/r.html"), "there is no folder none")
     one_line(deepc("export", "nowhere", "--out", "r.xlsx"), "must end in .csv")
+
+
+def test_a_replay_that_differs_says_which_software_recorded(deepc, make, tmp_path):
+    settings = {"settings.yaml": b"/**/controller: {ros__parameters: {N: 3, L: 5, terminal: none}}"}
+    messages = make.run_messages(*make.simulate(60, 1, 30), 30)
+    make.write_bag(tmp_path / "bag", messages, attach=settings, metadata={"version_numpy": "0.1", "seed": "1"})
+    code, out, err = deepc("replay", tmp_path / "bag", "--recompute", "controller")
+    assert (code, err) == (1, "")
+    assert "first difference: inputs of epoch 0 k = 0: values[0] was " in out
+    assert f"version_numpy: 0.1 when it was recorded, {np.__version__} now" in out
 
 
 def test_check_says_that_there_is_nothing(deepc, bad):

@@ -94,7 +94,7 @@
     g.stroke(); g.setLineDash([]);
   }
 
-  function drawNames(c, panel, Y) {
+  function drawNames(c, panel, Y, bottom) {
     const ends = panel.lines.map((line) => {
       let i = cursor === null ? Math.min(line.x.length - 1, at(line, view[1])) : at(line, cursor);
       while (cursor === null && i > 0 && line.y[i] === null) i -= 1;
@@ -102,11 +102,11 @@
       const value = y === null ? "–" : Number(y.toPrecision(5)).toString();
       return { y: y === null ? Y.mid : Y(y), color: lit(line.color), text: cursor === null ? line.name : `${line.name} ${value}` };
     }).sort((a, b) => a.y - b.y);
-    let place = -Infinity;
+    ends.forEach((end, i) => { end.y = Math.max(end.y, i ? ends[i - 1].y + 14 : TOP); });
+    for (let i = ends.length - 1, low = bottom; i >= 0; low = ends[i].y - 14, i -= 1) ends[i].y = Math.min(ends[i].y, low);
     for (const end of ends) {
-      place = Math.max(end.y, place + 14);
       c.g.fillStyle = end.color; c.g.textAlign = "left"; c.g.textBaseline = "middle";
-      c.g.fillText(end.text, c.width - RIGHT + 8, place);
+      c.g.fillText(end.text, c.width - RIGHT + 8, end.y);
     }
   }
 
@@ -152,7 +152,7 @@
     g.restore();
     drawCursor(c, bottom);
     g.fillStyle = INK; g.textAlign = "left"; g.textBaseline = "alphabetic"; g.fillText(panel.title, LEFT, TOP - 8);
-    drawNames(c, panel, Y);
+    drawNames(c, panel, Y, bottom);
     drawAxis(c, bottom, last);
   }
 

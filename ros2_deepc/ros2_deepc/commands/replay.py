@@ -12,10 +12,12 @@ import typer
 from rich.console import Console
 
 from ..bags.figure import draw
+from ..bags.provenance import facts
 from ..bags.reader import BagReader
 from ..bags.recording import find_namespace, load_run
 from ..bags.replay import replay as compare
 from ..bags.whatif import what_if
+from ..bags.writer import RUN_METADATA
 from ..control import DeepcController
 from ..demo import SETTINGS
 from ..nodes.config import Parameters, load, parse
@@ -96,7 +98,15 @@ def _recompute(console: Console, bag: Path, part: str, settings: Path | None, na
         console.print(f"  loop_hash {result.loop_hash}")
     console.print("the same to the bit" if result.same else "NOT the same")
     if not result.same:
+        for name, then, now in _changed(BagReader(bag)):
+            console.print(f"  {name}: {then} when it was recorded, {now} now", soft_wrap=True, highlight=False)
         raise typer.Exit(1)
+
+
+def _changed(reader: BagReader) -> list[tuple[str, str, str]]:
+    """What is another software than the one that recorded: name, then, now."""
+    then, now = reader.metadata.get(RUN_METADATA, {}), facts()
+    return [(name, then[name], now[name]) for name in now if then.get(name, now[name]) != now[name]]
 
 
 def _what_if(console: Console, bag: Path, parameters: Parameters, namespace: str | None, out: Path | None) -> None:
