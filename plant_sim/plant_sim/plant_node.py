@@ -189,6 +189,11 @@ class PlantNode(ManagedNode):
 
     def _heed_claims(self) -> None:
         """Lockstep waits for one controller, and another one cannot know at which inputs: it begins a new epoch."""
+        if self.count_publishers(topics.PLANT_INFO.name) > 1:
+            self.get_logger().warning(
+                f"another plant is in {self.get_namespace()}, or was until it was killed: one namespace, one plant",
+                throttle_duration_sec=10.0,
+            )
         followed = self._owner.sender
         if not self._lockstep or followed is None or self._claimants.alive(followed):
             return

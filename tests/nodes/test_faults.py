@@ -64,6 +64,20 @@ def test_a_spoiled_sample_is_refused_and_the_run_goes_on(rig, fault, when):
     rig.window_is_true()
 
 
+def test_two_plants_at_once_end_the_control_with_one_line(rig):
+    rig.start()
+    rig.run(T + 5)
+    for _ in range(3):
+        msg = rig.plant.sample()
+        rig.publish(msg)
+        refused, msg.values = rig.node.refused, [msg.values[0] + 1.0]
+        rig.plant.outputs.publish(msg)
+        rig.until(lambda: rig.node.refused > refused or rig.node.fault)  # noqa: B023
+    assert rig.node.fault == "two plants publish outputs in /: stop one of them"
+    rig.until(lambda: max(rig.plant.inputs) == msg.k + 2)  # the last input, u_safe, after the one for outputs k
+    assert rig.plant.inputs[msg.k + 2] == 0.0
+
+
 @pytest.mark.parametrize("when", [10, 25])
 def test_a_duplicate_changes_nothing(rig, when):
     rig.start()

@@ -27,7 +27,8 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 BIN = Path(sys.executable).parent
 NAMESPACE = "/kill"
 DEADLINE = 60.0  # [s]
-SAFE = 0.05
+SAFE = 0.05  # the plant's own
+STOPPED = 0.0625  # the controller's
 HOLD = 5  # samples that the plant holds the last inputs for
 STEADY = 15  # samples in control, one after the other
 SETTLED = 1500  # samples in lockstep after which what DDS had to send again has come, on every topic
@@ -43,7 +44,11 @@ class Zone:
             load(shipped("wscc9")),
             {
                 "plant": {"mode": mode, "speed": 5.0, "steps": 0, "hold": HOLD, "safe": [SAFE]},
-                "controller": {"max_gap": 1000, "max_hold": 100_000},  # a busy machine must not end in the fallback
+                "controller": {
+                    "max_gap": 1000,
+                    "max_hold": 100_000,
+                    "u_safe": [STOPPED],
+                },  # a busy machine must not end in the fallback
                 "operator": {"reference_k": [0], "reference_values": [0.3, 0.0]},
             },
         )
@@ -51,8 +56,8 @@ class Zone:
             for values in parameters.values():
                 values.pop("use_sim_time", None)
         else:  # nobody may miss the first samples: controller, monitor, recorder and the observer hear all of them
-            readers = {"plant": {"readers": 4}, "controller": {"readers_inputs": 3, "readers_state": 2}}
-            parameters = merged(parameters, readers)
+            readers = {"readers_inputs": 3, "readers_state": 2}
+            parameters = merged(parameters, {"plant": {"readers": 4}, "controller": readers, "monitor": {"readers": 2}})
         (folder / "zone.yaml").write_text(text_of(parameters))
         self.children, self._logs, self.bags = {}, [], 0
         self.observer = Observer(context=context, namespace=NAMESPACE, use_global_arguments=False)
@@ -232,6 +237,22 @@ def _plant(zone):
     zone.until(lambda: zone.observer.info.epoch != epoch and zone.outputs and zone.states)
     zone.until(lambda: any(state.mode == Mode.COLLECTING for state in zone.states))
     zone.until(zone.controlled)
+
+
+@pytest.mark.parametrize("zone", ["realtime"], indirect=True)
+def test_a_controller_that_is_told_to_stop_while_it_holds_leaves_the_safe_input(zone):
+    for role in ("recorder", "controller", "operator", "plant"):
+        zone.start(role)
+    zone.until(zone.controlled)
+    zone.children["plant"].send_signal(signal.SIGSTOP)
+    zone.until(lambda: zone.states[-1].mode == Mode.HOLDING)
+    zone.end("controller")
+    zone.children["plant"].send_signal(signal.SIGCONT)
+    zone.end("recorder")
+    bag = BagReader(zone.folder / "bag0")
+    assert bag.complete
+    *_, (_, last) = bag.decoded([f"{NAMESPACE}/inputs"])
+    assert list(last.values) == [STOPPED] * 3
 
 
 @pytest.mark.timeout(400)

@@ -36,6 +36,7 @@ from .controller_state import state_message
 __all__ = ["PARAMETERS", "ControllerNode", "make_agent", "settings_for", "state_message"]
 
 _FASTEST = 1e-3  # [s]; no clock watches a loop that is faster
+_TWINS = 3  # outputs that came again with other values
 _AGAIN = 1.0  # [s] without outputs after which the first inputs are sent once more
 
 
@@ -115,6 +116,7 @@ class ControllerNode(ManagedNode):
         agent = make_agent(self.p, info)
         self._agent, self._info, self._started = agent, info, False
         self._k = self._decided = -1  # newest outputs accepted, and answered
+        self._newest, self._twins = (), 0
         self._joined: Joined[Reading] = Joined(agent.disturbances, agent.settings.disturbances > 0)
         self._t0, self._period = nanoseconds(info.header.stamp), period_ns(info.sample_time)
         self._wall = 0.0 if info.lockstep else info.sample_time / (info.speed or 1.0)
@@ -268,6 +270,7 @@ class ControllerNode(ManagedNode):
             reason = f"epoch {msg.epoch} instead of {self._info.epoch}"
         if not reason and msg.k <= self._k:
             reason = f"outputs {msg.k} again or too late, {self._k} were the last"
+            self._look_for_twins(msg)
         if reason:
             self._refuse(f"outputs {msg.k}: {reason}")
             return
@@ -280,8 +283,19 @@ class ControllerNode(ManagedNode):
         now = time.monotonic()
         self._gap = (now - self._arrived) / (int(msg.k) - self._k)
         self._arrived, self._quiet, self._overdue, self._k = now, 0, 0, int(msg.k)
+        self._newest = tuple(msg.values)
         for _, outputs in self._joined.outputs(self._k, msg):
             self._answer(outputs)
+
+    def _look_for_twins(self, msg: Reading) -> None:
+        """The same outputs with other values, several times: another plant answers beside the one that is controlled.
+
+        Raises:
+            ConfigError: then, for what comes first would be taken from either.
+        """
+        self._twins += msg.k == self._k and tuple(msg.values) != self._newest
+        if self._twins >= _TWINS:
+            raise ConfigError(f"two plants publish outputs in {self.get_namespace()}: stop one of them")
 
     def _answer(self, msg: Reading) -> None:
         """Decides from outputs k, and publishes the decision."""

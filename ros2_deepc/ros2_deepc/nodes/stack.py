@@ -4,6 +4,7 @@
 """All nodes of a zone, in one process or in one process each."""
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -148,7 +149,10 @@ class _Processes:
             module = node_class(role).__module__
             command = [sys.executable, "-m", module, "--executor", self._executor, *self._arguments]
             with self._log(role).open("wb") as log:
-                self._children[role] = subprocess.Popen(command, env=self._env, stdout=log, stderr=log)
+                # A session of its own: Ctrl-C reaches this process only, which stops the recorder last.
+                self._children[role] = subprocess.Popen(
+                    command, env=self._env, stdout=log, stderr=log, start_new_session=True
+                )
 
     def failure(self) -> str:
         for role, child in self._children.items():
@@ -173,7 +177,8 @@ class _Processes:
             except subprocess.TimeoutExpired:
                 child.kill()
                 child.wait()
-            trouble = trouble or self._last_words(role, child)
+            if child.returncode != -signal.SIGTERM:  # that is one who had not begun to work yet
+                trouble = trouble or self._last_words(role, child)
         self._children.clear()
         return trouble
 

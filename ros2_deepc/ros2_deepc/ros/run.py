@@ -3,10 +3,11 @@
 
 """Running nodes: executors, signals, one BLAS thread."""
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 
 import rclpy
 from rclpy.context import Context
@@ -21,6 +22,8 @@ from .lifecycle import ManagedNode
 from .parameters import ConfigError
 
 EXECUTORS = ("events", "single")
+_DOMAINS = range(233)  # beyond them, the ports that DDS makes of the number do not exist
+_SHARED, _ROOM = "/dev/shm", 4 << 20  # [B] that the participants of a zone take of it, and some to spare
 _SLICE = 0.1  # [s]; EventsExecutor.spin() without a time-out never returns in the wheels
 
 
@@ -61,7 +64,15 @@ class Spinner:
 
 @contextmanager
 def ros(args: Sequence[str] | None = None, domain_id: int | None = None) -> Iterator[Context]:
-    """An initialised context of our own, without rclpy's signal handlers, shut down at the end."""
+    """An initialised context of our own, without rclpy's signal handlers, shut down at the end.
+
+    Raises:
+        ConfigError: for a DDS domain that does not exist.
+    """
+    domain = os.environ.get("ROS_DOMAIN_ID", "") if domain_id is None else str(domain_id)
+    if domain and not (domain.isdecimal() and int(domain) in _DOMAINS):
+        raise ConfigError(f"ROS_DOMAIN_ID = {domain}: give a whole number from {_DOMAINS[0]} to {_DOMAINS[-1]}")
+    _find_a_transport()
     context = Context()
     rclpy.init(
         args=list(args) if args is not None else None,
@@ -73,6 +84,15 @@ def ros(args: Sequence[str] | None = None, domain_id: int | None = None) -> Iter
         yield context
     finally:
         rclpy.try_shutdown(context=context)
+
+
+def _find_a_transport() -> None:
+    """Leaves shared memory alone where there is no room for it: DDS would end the process with a bus error."""
+    with suppress(OSError):
+        place = os.statvfs(_SHARED)
+        if place.f_bavail * place.f_frsize < _ROOM and "FASTDDS_BUILTIN_TRANSPORTS" not in os.environ:
+            os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
+            print(f"warning: no room in {_SHARED}, messages go over the network's loopback", file=sys.stderr)  # noqa: T201
 
 
 @contextmanager
@@ -108,8 +128,9 @@ def run_node(factory: Callable[..., ManagedNode], args: Sequence[str] | None = N
         at = argv.index("--executor")
         kind = argv[at + 1] if at + 1 < len(argv) else ""
         del argv[at : at + 2]
-    with threadpool_limits(limits=1), ros(argv) as context:
+    with threadpool_limits(limits=1), ExitStack() as stack:
         try:
+            context = stack.enter_context(ros(argv))
             executor = make_executor(kind, context)
             node = factory(context=context)
         except (ConfigError, ValueError, OSError) as error:
