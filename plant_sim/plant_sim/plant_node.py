@@ -29,6 +29,7 @@ from .describe import describe
 from .plant import Plant
 from .plant_file import load
 
+_BEHIND = 1.0  # [s] behind real time that are worth a warning
 _AHEAD = 1000  # samples that inputs may be early: what waits for its tick must not grow without end
 
 PARAMETERS = (
@@ -122,6 +123,8 @@ class PlantNode(ManagedNode):
         self.held_samples = 0
         self.skipped = 0
         """Ticks of real time that passed without a sample, because the process was held up."""
+        self.behind = 0.0
+        """How far this epoch lags behind the clock for that [s]: a simulated plant stands still meanwhile."""
 
     @staticmethod
     def plant_of(parameters: Mapping[str, Any]) -> Plant:
@@ -178,7 +181,7 @@ class PlantNode(ManagedNode):
         """A new epoch of the plant as it is now, for whoever commands it first."""
         self._epoch, self._start_ns = epoch, start_ns
         self._k = 0  # the next inputs to take
-        self._held = 0
+        self._held, self.behind = 0, 0.0
         self._pending: dict[int, np.ndarray] = {}
         self._owner, self._health = Owner(self._claimants, 2.0 * self._wall), Health(self._wall)
         speed = 1.0 if self._lockstep else self.p["speed"]
@@ -273,8 +276,9 @@ class PlantNode(ManagedNode):
         skipped = 0 if math.isnan(gap) else round(gap / self._wall) - 1
         if skipped > 0:
             self.skipped += skipped
+            self.behind += skipped * self._wall
             self.get_logger().warning(
-                f"held up for {gap:.3g} s: {skipped} ticks left out, {self.skipped} since start",
+                f"held up for {gap:.3g} s: {skipped} ticks left out, {self.behind:.3g} s behind from now on",
                 throttle_duration_sec=5.0,
             )
 
@@ -287,6 +291,8 @@ class PlantNode(ManagedNode):
         alone = self._held == Sample.OWN_INPUT
         words = ["nobody commands it: safe input"] if alone else self._health.complaints()
         words = [status, *words] if status else words
+        if self.behind > _BEHIND:
+            words = [*words, "behind real time: activate it again to be on the clock"]
         level = ERROR if alone else WARN if words else OK
         text = "; ".join(words) or "running"
         if self._diagnostics.due(level, text):
@@ -302,6 +308,7 @@ class PlantNode(ManagedNode):
             "foreign": self.foreign,
             "held": self.held_samples,
             "skipped": self.skipped,
+            "behind": self.behind,
             "outputs_late": self._outputs.deadlines_missed,
             **self._health.values(),
         }

@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from ros2_deepc.control.modes import Mode
+from ros2_deepc.ros.convert import sample
 
 from .rig import T, rigged
 
@@ -76,6 +77,32 @@ def test_two_plants_at_once_end_the_control_with_one_line(rig):
     assert rig.node.fault == "two plants publish outputs in /: stop one of them"
     rig.until(lambda: max(rig.plant.inputs) == msg.k + 2)  # the last input, u_safe, after the one for outputs k
     assert rig.plant.inputs[msg.k + 2] == 0.0
+
+
+@pytest.mark.parametrize("values", [[float("nan")], [0.5, 0.5], [], [float("inf")]])
+def test_a_reference_that_cannot_be_used_is_refused_and_the_one_before_holds(rig, values):
+    rig.start()
+    rig.run(T + 5)
+    bad = sample("p", 1, 0, np.array(values), 1)  # from sample 0 on, as the good one
+    rig.plant.reference.publish(bad)
+    rig.until(lambda: rig.node.refused == 1)
+    rig.run(3)
+    assert rig.mode is Mode.CONTROLLING
+    assert list(rig.plant.states[-1].reference) == [0.5]
+    rig.plant.x, rig.plant.k, rig.plant.inputs = np.array([1.0, -1.0]), 0, {}
+    rig.plant.announce(epoch=2)  # nor is it what a new run begins with
+    rig.until(lambda: 0 in rig.plant.inputs)
+    rig.run(T + 5)
+    assert rig.mode is Mode.CONTROLLING
+    assert list(rig.plant.states[-1].reference) == [0.5]
+
+
+def test_of_references_without_end_only_the_newest_are_kept(rig):
+    rig.start()
+    for k in range(1, 251):
+        rig.plant.reference.publish(sample("p", 1, k, np.array([0.5]), 1))
+        rig.until(lambda k=k: rig.node._agent.references.at(k) is not None and k in rig.node._early)
+    assert list(rig.node._early) == list(range(151, 251))
 
 
 @pytest.mark.parametrize("when", [10, 25])

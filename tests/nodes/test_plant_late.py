@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from deepc_msgs.msg import PlantInfo, Sample
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from plant_sim.plant_node import PlantNode
 from ros2_deepc.ros import topics
-from ros2_deepc.ros.convert import sample
+from ros2_deepc.ros.convert import nanoseconds, period_ns, sample
 from ros2_deepc.ros.qos import profile
 from ros2_deepc.ros.run import Spinner, make_executor, ros
 
@@ -28,8 +29,9 @@ class Hand(Node):
 
     def __init__(self, **kwargs):
         super().__init__("hand", **kwargs)
-        self.infos, self.outputs = [], []
+        self.infos, self.outputs, self.told = [], [], []
         self._inputs = self.create_publisher(Sample, "inputs", profile(topics.INPUTS, lockstep=False))
+        self.create_subscription(DiagnosticArray, "/diagnostics", lambda msg: self.told.extend(msg.status), 10)
         self.create_subscription(PlantInfo, "plant_info", self.infos.append, profile(topics.PLANT_INFO))
         self.create_subscription(Sample, "outputs", self.outputs.append, profile(topics.OUTPUTS, lockstep=False))
 
@@ -44,6 +46,8 @@ class Hand(Node):
 class Stalling(PlantNode):
     """A plant whose process is held up for a little more than three periods at its third sample."""
 
+    STALL = 3.2  # periods
+
     @classmethod
     def plant_of(cls, parameters):
         plant = PlantNode.plant_of(parameters)
@@ -53,7 +57,7 @@ class Stalling(PlantNode):
 
             def push(self, u):
                 Stepper.k += 1
-                end = time.monotonic() + (3.2 * PERIOD if Stepper.k == 3 else 0.0)
+                end = time.monotonic() + (cls.STALL * PERIOD if Stepper.k == 3 else 0.0)
                 while time.monotonic() < end:
                     pass
                 return u[:2]
@@ -98,6 +102,29 @@ def test_ticks_that_a_stalled_process_misses_are_counted(rig):
     until(lambda: len(hand.outputs) >= 6)
     assert plant.skipped >= 2
     assert [msg.k for msg in hand.outputs[:6]] == list(range(6))
+
+
+class LongStall(Stalling):
+    """A plant whose process is held up for longer than a second."""
+
+    STALL = 1.5 / PERIOD
+
+
+def test_a_plant_that_was_held_up_goes_on_where_it_stood_says_so_and_is_on_the_clock_when_activated_again(rig):
+    plant, hand, until = rig(LongStall)
+    hand.send(0, [0.0, 0.0, 0.0])
+    until(lambda: len(hand.outputs) >= 6)
+    assert plant.behind == pytest.approx(plant.skipped * PERIOD)
+    assert plant.behind > 1.0
+    stamps = np.array([nanoseconds(msg.header.stamp) for msg in hand.outputs[:6]])
+    np.testing.assert_array_equal(np.diff(stamps), period_ns(plant.plant.sample_time))  # nothing was left out of it
+    until(lambda: any("behind real time" in status.message for status in hand.told))
+
+    plant.trigger_deactivate()
+    plant.trigger_activate()
+    until(lambda: len(hand.infos) == 2)
+    assert plant.behind == 0.0
+    assert nanoseconds(hand.infos[1].header.stamp) > stamps[-1]
 
 
 def test_a_first_message_that_is_not_inputs_0_starts_with_the_plants_own(rig):

@@ -124,8 +124,7 @@ class ControllerNode(ManagedNode):
         self._arrived, self._quiet, self._overdue, self._stamp = math.nan, 0, 0, 0
         if self._inputs is None:
             self._connect(info)
-        for k, msg in sorted(self._early.items()):
-            self._set_reference(k, msg)
+        self._early = {k: msg for k, msg in self._early.items() if self._set_reference(k, msg)}
         self._heed_claims()
         self._begin()
 
@@ -193,19 +192,25 @@ class ControllerNode(ManagedNode):
     # References, disturbances, reports
 
     def _on_reference(self, msg: Sample) -> None:
-        self._early[int(msg.k)] = msg
+        k = int(msg.k)
+        if self._agent is not None and not self._set_reference(k, msg):
+            return
+        self._early.pop(k, None)
+        self._early[k] = msg
+        if len(self._early) > topics.REFERENCE.depth:  # as many as a controller that starts now would hear of
+            del self._early[next(iter(self._early))]
         if self._agent is not None:
-            self._set_reference(int(msg.k), msg)
             self._begin()
 
-    def _set_reference(self, k: int, msg: Sample) -> None:
+    def _set_reference(self, k: int, msg: Sample) -> bool:
         assert self._agent is not None
         reason = refusal(msg, len(self._info.output_names))
         if reason:
             self._refuse(f"reference from {k} on: {reason}")
-            return
+            return False
         self._enter(changes.REFERENCE, [k, list(msg.values)])
         self._agent.references.set(k, msg.values)
+        return True
 
     def _begin(self) -> None:
         """The inputs that outputs 0 depend on."""
