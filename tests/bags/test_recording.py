@@ -216,24 +216,24 @@ def test_a_wild_index_costs_nothing(make, tmp_path):
 def test_memory_does_not_grow_with_the_run(make, tmp_path, monkeypatch):
     """Every allocation counted; benchmarks/bags.py shows the same of whole processes, at a million samples."""
     monkeypatch.setattr(spill, "IN_MEMORY", 10_000)
-    monkeypatch.setattr(columns, "_PIECE", 50_000)
-    monkeypatch.setattr(recording, "SAMPLES", 200)
+    monkeypatch.setattr(columns, "_PIECE", 20_000)
+    monkeypatch.setattr(recording, "SAMPLES", 100)
     monkeypatch.setattr(stretches, "_PARTS", 5)
     for kind in (Thin, Strip):  # what is drawn has an end, too, which these lengths are to be beyond
         monkeypatch.setattr(kind.__init__, "__defaults__", (100,))
     peaks = {}
-    for K in (2000, 8000):
-        messages = make.run_messages(*make.simulate(K, 1, 1000), 1000)
-        make.write_bag(tmp_path / f"{K}", messages, chunk_size=100_000)
+    for K in (1000, 6000):
+        messages = make.run_messages(*make.simulate(K, 1, 500), 500)
+        make.write_bag(tmp_path / f"{K}", messages, chunk_size=50_000)
         del messages
         for name, work in (("report", report_of), ("csv", csv_of), ("array", load_run)):
             tracemalloc.start()
             work(tmp_path / f"{K}")
             peaks[name, K] = tracemalloc.get_traced_memory()[1]
             tracemalloc.stop()
-    assert peaks["report", 8000] < 1.3 * peaks["report", 2000]
-    assert peaks["csv", 8000] < 1.3 * peaks["csv", 2000]
-    assert peaks["array", 8000] > 2 * peaks["array", 2000], "what grows is seen to grow"
+    assert peaks["report", 6000] < 1.3 * peaks["report", 1000]
+    assert peaks["csv", 6000] < 1.3 * peaks["csv", 1000]
+    assert peaks["array", 6000] > 2 * peaks["array", 1000], "what grows is seen to grow"
 
 
 def report_of(bag):

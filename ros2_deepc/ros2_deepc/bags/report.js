@@ -113,7 +113,7 @@
   function drawAxis(c, bottom, last) {
     const g = c.g;
     g.strokeStyle = RULE; g.lineWidth = 1; g.fillStyle = MUTED; g.textAlign = "center"; g.textBaseline = "top";
-    for (const [x, text] of ticks(view[0], view[1], (c.width - LEFT - RIGHT) / 90)) {
+    for (const [x, text] of ticks(view[0], view[1], Math.max(3, (c.width - LEFT - RIGHT) / 90))) {
       g.beginPath(); g.moveTo(c.X(x), bottom); g.lineTo(c.X(x), bottom + 4); g.stroke();
       if (last) g.fillText(text, c.X(x), bottom + 7);
     }
