@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from deepc_msgs.msg import Change, MonitorReport, PlantInfo, Sample, Verdict
 from deepc_msgs.srv import SetMode
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from std_srvs.srv import Trigger
 
@@ -25,6 +24,7 @@ from ..ros.convert import nanoseconds, period_ns, refusal
 from ..ros.diagnostics import ERROR, OK, WARN, Diagnostics
 from ..ros.health import Health
 from ..ros.lifecycle import ManagedNode
+from ..ros.live import LiveParameters
 from ..ros.parameters import ConfigError
 from ..ros.publisher import PatientPublisher
 from ..ros.run import run_node
@@ -70,7 +70,6 @@ class ControllerNode(ManagedNode):
         self._inputs: PatientPublisher | None = None
         self._state: PatientPublisher | None = None
         self._early: dict[int, Sample] = {}
-        self._wanted: dict[str, Any] = {}  # parameters that change at the next sample
         self._diagnostics = Diagnostics(self, "")
         self.resources.callback(self._diagnostics.destroy)
         for kind, name, answer in (
@@ -78,8 +77,7 @@ class ControllerNode(ManagedNode):
             (Trigger, "controller/reset", self._on_reset),
         ):
             self.resources.callback(self.destroy_service, self.create_service(kind, name, answer))
-        self.add_on_set_parameters_callback(self._on_change)
-        self.resources.callback(self.remove_on_set_parameters_callback, self._on_change)
+        self._changed = LiveParameters(self, self._check_changes)
         self._record = self.advertise(topics.CHANGES)
         heed = self.guarded(lambda _: self._heed_claims())
         self._claimants = Claimants(self, lambda: heed(None))
@@ -460,33 +458,15 @@ class ControllerNode(ManagedNode):
         self.get_logger().info(f"reset: {response.message}")
         return response
 
-    def _on_change(self, changed: list[Any]) -> SetParametersResult:
-        """Parameters that may change while running are checked together and applied at the next sample."""
-        values = {parameter.name: _plain(parameter.value) for parameter in changed}
-        rows = {row.name: row for row in PARAMETERS}
-        wanted = {name: value for name, value in values.items() if name in rows}
-        for name, value in wanted.items():
-            if complaint := rows[name].complaint(value):
-                return SetParametersResult(successful=False, reason=complaint)
-        try:
-            if self._agent is not None:
-                make_agent(self.p | self._wanted | wanted, self._info)
-        except ConfigError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        self._wanted |= wanted
-        return SetParametersResult(successful=True)
+    def _check_changes(self, parameters: dict[str, Any]) -> None:
+        if self._agent is not None:
+            make_agent(parameters, self._info)
 
     def _apply_changes(self) -> None:
-        if not self._wanted:
-            return
         assert self._agent is not None
-        wanted, self._wanted = self._wanted, {}
-        self._enter(changes.PARAMETERS, wanted)
-        changes.change_parameters(self._agent, self.p, self._info, wanted)
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else value
+        if wanted := self._changed.take():
+            self._enter(changes.PARAMETERS, wanted)
+            changes.change_parameters(self._agent, self.p, self._info, wanted)
 
 
 def main() -> int:

@@ -17,7 +17,6 @@ from builtin_interfaces.msg import Time
 from deepc_msgs.msg import Change, MonitorReport, PlantInfo
 from deepc_msgs.msg import Indicator as IndicatorMsg
 from deepc_msgs.msg import Verdict as VerdictMsg
-from rcl_interfaces.msg import SetParametersResult
 
 from ..bags.convert import to_cdr
 from ..bags.errors import BagError
@@ -28,6 +27,7 @@ from ..ros import topics
 from ..ros.convert import nanoseconds, refusal
 from ..ros.diagnostics import OK, WARN, Diagnostics
 from ..ros.lifecycle import ManagedNode
+from ..ros.live import LiveParameters
 from ..ros.parameters import ConfigError, Param
 from ..ros.run import run_node
 from ..ros.wire import Reading
@@ -130,9 +130,7 @@ class MonitorNode(ManagedNode):
         self.resources.callback(self._diagnostics.destroy)
         self._indicator = self.advertise(topics.INDICATOR) if self.p["indicator"] else None
         self._record = self.advertise(topics.MONITOR_CHANGES)
-        self._wanted: dict[str, Any] = {}
-        self.add_on_set_parameters_callback(self._on_change)
-        self.resources.callback(self.remove_on_set_parameters_callback, self._on_change)
+        self._changed = LiveParameters(self, self._check_changes)
         self._worker = ThreadPoolExecutor(1, "monitor") if self.p["worker"] else None
         self._busy: Future[None] | None = None
         if self._worker is not None:
@@ -164,28 +162,16 @@ class MonitorNode(ManagedNode):
         """In real time a controller and a plant in the same process go first; the order of the samples stays."""
         return lambda msg: self.later(lambda: take(msg), turns=2)
 
-    def _on_change(self, changed: list[Any]) -> SetParametersResult:
-        """Parameters that may change while running are checked together and applied at the next outputs."""
-        rows = {row.name: row for row in PARAMETERS}
-        given = {parameter.name: parameter.value for parameter in changed if parameter.name in rows}
-        wanted = {name: value.tolist() if hasattr(value, "tolist") else value for name, value in given.items()}
-        complaint = next(filter(None, (rows[name].complaint(value) for name, value in wanted.items())), "")
-        try:
-            if not complaint and self._live is not None:
-                make_live(self.p | self._wanted | wanted, self._info)
-        except ValueError as error:
-            complaint = str(error)
-        if complaint:
-            return SetParametersResult(successful=False, reason=complaint)
-        self._wanted |= wanted
-        return SetParametersResult(successful=True)
+    def _check_changes(self, parameters: dict[str, Any]) -> None:
+        if self._live is not None:
+            make_live(parameters, self._info)
 
     def _apply_changes(self, k: int) -> None:
         """Brings what was asked for into force from outputs k on, and leaves a note in the bag."""
-        if not self._wanted:
+        wanted = self._changed.take()
+        if not wanted:
             return
         assert self._live is not None
-        wanted, self._wanted = self._wanted, {}
         self.p |= wanted
         change_live(self._live, k, self.p, self._info)
         note = Change(epoch=self._info.epoch, k=k, name=PARAMETERS_CHANGED, value=json.dumps(wanted))
