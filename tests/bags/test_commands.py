@@ -146,6 +146,20 @@ def test_a_replay_that_differs_says_which_software_recorded(deepc, make, tmp_pat
     assert f"version_numpy: 0.1 when it was recorded, {np.__version__} now" in out
 
 
+def test_a_report_of_little_and_of_much_is_summed_up_in_few_words(deepc, make, tmp_path):
+    monitored = [("outputs", make.sample(k, [np.nan if k == 5 else 1.0])) for k in range(30)]
+    make.write_bag(tmp_path / "monitored", monitored)
+    moving = [(name, make.sample(k, [k, 0.0])) for k in range(200) for name in ("reference", "outputs")]
+    make.write_bag(tmp_path / "moving", moving)
+    lost = [("reference", make.sample(0, [1.0])), *monitored]
+    make.write_bag(tmp_path / "lost", lost[:7])
+    for name, words in (("monitored", "-"), ("moving", "0, 0, 0, 0, 0, 0 and 194 more"), ("lost", "-")):
+        code, out, err = deepc("report", tmp_path / name, "--out", tmp_path / "r.html")
+        assert (code, err) == (0, "")
+        assert words in out
+        assert "None" not in out
+
+
 def test_check_says_that_there_is_nothing(deepc, bad):
     for bag, hint in (("empty", "error: empty: no messages"), ("text.mcap", "not an MCAP file")):
         code, out, err = deepc("check", bag)

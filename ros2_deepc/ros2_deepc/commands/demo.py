@@ -17,6 +17,8 @@ from ..nodes.config import ROLES, merged
 from ..nodes.suggested import title_of, zone_of
 from ..ros.run import EXECUTORS
 
+_PHASES = 6  # errors that are listed of each output
+
 
 def demo(
     plant: Annotated[
@@ -84,13 +86,20 @@ def print_summary(console: Console, summary: dict[str, Any]) -> None:
     table = Table("output", "RMSE, last 20 samples of each reference", "peak to peak in control", box=None)
     table.padding = (0, 2)
     for name, values in summary["outputs"].items():
-        rmse = ", ".join(f"{value:.4g}" for value in values["rmse"])
-        table.add_row(name, rmse, "-" if values["peak_to_peak"] is None else f"{values['peak_to_peak']:.4g}")
+        rmse, more = values["rmse"][:_PHASES], len(values["rmse"]) - _PHASES
+        words = ", ".join(map(_number, rmse)) + (f" and {more} more" if more > 0 else "")
+        table.add_row(name, words, _number(values["peak_to_peak"]))
     console.print(table)
     for name, verdict in summary["verdicts"].items():
-        console.print(f"  {name}: {verdict}")
+        if verdict is not None:  # a monitor was recorded
+            console.print(f"  {name}: {verdict}")
     controller = summary["controller"]
     times = controller["solve_time_ms"]
     if times["median"] is not None:
         console.print(f"  solve time {times['median']:.2f} ms median, {times['p99']:.2f} ms p99")
-    console.print(f"  {controller['failures']} failures")
+    if controller["failures"] is not None:
+        console.print(f"  {controller['failures']} failures")
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
