@@ -17,7 +17,7 @@ want mbpoll mbpoll
 want /usr/include/modbus/modbus.h libmodbus-dev
 want tshark tshark
 want gcc gcc libc6-dev
-want chromium chromium
+command -v google-chrome > /dev/null || command -v chromium-browser > /dev/null || want chromium chromium
 want node nodejs
 want npm npm
 if [ -n "$packages" ]; then
