@@ -80,6 +80,12 @@ def zone(request, domain_id):
             def controller(self, start=True, **parameters):
                 return self._add(ControllerNode, SETTINGS | parameters, start)
 
+            def states_of(self, node):
+                """The modes in which a controller answers from now on."""
+                seen, step = [], node._agent.step
+                node._agent.step = lambda *sample: (decision := step(*sample), seen.append(decision.mode))[0]
+                return seen
+
             def monitor(self, **parameters):
                 return self._add(MonitorNode, parameters)
 
@@ -157,6 +163,28 @@ def test_a_controller_on_standby_takes_over_when_the_first_is_stopped(zone):
     zone.until(lambda: zone.witness.outputs[-1].sender == second._holder.id)
     zone.until(lambda: second._agent.mode is Mode.CONTROLLING)
     assert second.fault == ""
+
+
+def test_a_standby_in_shadow_takes_over_with_what_it_has_learned(zone):
+    zone.plant(plant="wscc9", mode="realtime", speed=5.0)
+    first = zone.controller()
+    second = zone.controller(standby=True, shadow=True)
+    zone.until(lambda: second._agent is not None and not second._agent.controller.missing())
+    assert second._agent.mode is Mode.SHADOW
+    assert zone.witness.outputs[-1].sender == first._holder.id
+    states = zone.states_of(second)
+    first.quiesce()
+    zone.until(lambda: zone.witness.outputs[-1].sender == second._holder.id)
+    zone.until(lambda: second._agent.mode is Mode.CONTROLLING)
+    assert Mode.COLLECTING not in states
+    controller = second._agent.controller
+    assert controller.rank == controller.rank_need
+    assert controller.gap > 1e8  # a false sample would raise the rank
+    answer = second._on_set_mode(SetMode.Request(mode=int(Mode.SHADOW)), SetMode.Response())
+    assert answer.success, answer.message
+    count = len(zone.witness.outputs)
+    zone.until(lambda: len(zone.witness.outputs) > count + 30)
+    assert second._agent.mode is Mode.SHADOW  # what an operator asks for stays
 
 
 def test_a_shadow_claims_nothing_and_may_not_take_over_a_plant_that_is_commanded(zone):

@@ -143,12 +143,13 @@ def proved(report: MonitorReport):
     return report.r_observability.verdict == Verdict.PROVED
 
 
-def test_a_controller_on_standby_goes_on_when_the_first_one_stops(zone):
+@pytest.mark.parametrize("shadow", [False, True])
+def test_a_controller_on_standby_goes_on_when_the_first_one_stops(zone, shadow):
     plant = zone.plant(plant="wscc9")
     first = zone.add(ControllerNode, **SETTINGS)
     zone.until(lambda: first._agent is not None and first._agent.mode is Mode.CONTROLLING)
-    second = zone.add(ControllerNode, standby=True, **SETTINGS)
-    zone.until(lambda: second._waits)
+    second = zone.add(ControllerNode, standby=True, shadow=shadow, **SETTINGS)
+    zone.until(lambda: second._waits or (second._agent is not None and second._agent.mode is Mode.SHADOW))
     assert plant._epoch == 1
     first.quiesce()
     zone.until(lambda: second._agent.mode is Mode.CONTROLLING and plant._epoch == 2)

@@ -19,9 +19,9 @@ from ..control.agent import Agent, Decision
 from ..control.joined import Joined
 from ..control.modes import Mode
 from ..ros import topics
-from ..ros.claim import Claimants, Holder
+from ..ros.claim import LEASE, Claimants, Holder
 from ..ros.convert import nanoseconds, period_ns, refusal
-from ..ros.diagnostics import ERROR, OK, WARN, Diagnostics
+from ..ros.diagnostics import OK, Diagnostics
 from ..ros.health import Health
 from ..ros.lifecycle import ManagedNode
 from ..ros.live import LiveParameters
@@ -31,7 +31,7 @@ from ..ros.run import run_node
 from ..ros.wire import Reading, pack
 from . import changes
 from .controller_settings import PARAMETERS, make_agent, settings_for
-from .controller_state import state_message
+from .controller_state import facts, judgement, state_message
 
 __all__ = ["PARAMETERS", "ControllerNode", "make_agent", "settings_for", "state_message"]
 
@@ -92,6 +92,7 @@ class ControllerNode(ManagedNode):
     def activate(self) -> None:
         """Claims the plant."""
         self._agent, self._follows, self._waits = None, 0, False
+        self._since = time.monotonic()
         self._holder.take()
 
     def deactivate(self) -> None:
@@ -113,6 +114,7 @@ class ControllerNode(ManagedNode):
         self._finish()
         agent = make_agent(self.p, info)
         self._agent, self._info, self._started = agent, info, False
+        self._lurks = bool(self.p["standby"] and self.p["shadow"])  # learns beside the one it waits for
         self._k = self._decided = -1  # newest outputs accepted, and answered
         self._newest, self._twins = (), 0
         self._joined: Joined[Reading] = Joined(agent.disturbances, agent.settings.disturbances > 0)
@@ -173,7 +175,7 @@ class ControllerNode(ManagedNode):
         if self._agent is None:
             return
         other = self._other()
-        if other and self.p["standby"]:
+        if other and self.p["standby"] and not self.p["shadow"]:
             self._waits = True
             self._diagnostics.report(OK, f"standing by: {other} commands {self._info.name}")
         elif other and self._commands():
@@ -184,8 +186,24 @@ class ControllerNode(ManagedNode):
             self._waits = False
             self.get_logger().info(f"nobody else commands {self._info.name} any more: taking over")
             self._on_plant(self._info)
+        elif self._lurks and not other and self._alone():
+            self._leave_shadow()
         if self._commands() != self._holder.claim.commands:
             self._holder.beat()
+
+    def _alone(self) -> bool:
+        """Whether whoever commanded before is gone, or has had the time to say that it is there."""
+        return bool(self._follows) or time.monotonic() - self._since > LEASE
+
+    def _leave_shadow(self) -> None:
+        """A standby that has learned in SHADOW takes over: at once if its data suffice, else it collects."""
+        assert self._agent is not None
+        self._lurks = False
+        wanted = next(mode for mode in (Mode.CONTROLLING, Mode.COLLECTING) if not self._agent.request(mode))
+        self._enter(changes.MODE, int(wanted))
+        self.get_logger().info(f"nobody else commands {self._info.name}: {wanted.name} with what was learned beside it")
+        if self._k < 0:
+            self._begin()
 
     # References, disturbances, reports
 
@@ -385,39 +403,15 @@ class ControllerNode(ManagedNode):
         msg.epoch, msg.refused, msg.overdue = outputs.epoch, self.refused, overdue
         msg.deadline_misses = self.deadline_misses
         self._state.publish(msg)
-        level = {Mode.FALLBACK: ERROR, Mode.HOLDING: WARN}.get(decision.mode, OK)
-        complaints = self._health.complaints()
-        if overdue:
-            complaints = ["outputs are overdue", *complaints]
-        if complaints or msg.status in (msg.STATUS_SHIFTED_PLAN, msg.STATUS_FALLBACK):
-            level = max(level, WARN)
-        text = "; ".join([decision.mode.name, *complaints])
+        level, text = judgement(msg, decision, self._health.complaints())
         if self._diagnostics.due(level, text):
-            self._diagnostics.report(level, text, self._numbers(msg, decision))
+            assert self._inputs is not None
+            age = (self.get_clock().now().nanoseconds - outputs.time_ns) / 1e9
+            counters = {"clock_jumps": self.jumps, "inputs_late": self._inputs.deadlines_missed, "data_age": age}
+            counters |= {"lost": self._agent.lost, **self._health.values()}
+            self._diagnostics.report(level, text, facts(msg, decision) | counters)
         if self._commands() != self._holder.claim.commands:
             self._holder.beat()
-
-    def _numbers(self, msg: Any, decision: Decision) -> dict[str, Any]:
-        """What goes with the level."""
-        assert self._agent is not None
-        assert self._inputs is not None
-        age = (self.get_clock().now().nanoseconds - nanoseconds(msg.header.stamp)) / 1e9
-        return {
-            "reason": decision.reason,
-            "k": decision.k,
-            "rank": f"{msg.rank}/{msg.rank_need}",
-            "excitation": f"{msg.excitation}/{msg.excitation_need}",
-            "weak": msg.weak,
-            "solve_time": msg.solve_time,
-            "data_age": age,
-            "failures": msg.failures,
-            "lost": self._agent.lost,
-            "clock_jumps": self.jumps,
-            "refused": self.refused,
-            "deadline_misses": self.deadline_misses,
-            "inputs_late": self._inputs.deadlines_missed,
-            **self._health.values(),
-        }
 
     # Requests
 
@@ -438,6 +432,7 @@ class ControllerNode(ManagedNode):
             return f"{other} commands {self._info.name}: stop it first"
         why = self._agent.request(wanted)
         if not why:
+            self._lurks = False
             self._enter(changes.MODE, wanted)
             self._heed_claims()
             if self._k < 0:

@@ -1,15 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The ros2_deepc authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the controller knows and decided, as a message."""
+"""What the controller knows and decided, as a message and for people."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from deepc_msgs.msg import ControllerState
 
 from ..control import StepResult
 from ..control.agent import Agent, Decision
+from ..control.modes import Mode
+from ..ros.diagnostics import ERROR, OK, WARN
 
 
 def state_message(agent: Agent, decision: Decision) -> ControllerState:
@@ -37,3 +41,28 @@ def _fill(msg: ControllerState, result: StepResult) -> None:
     msg.distance, msg.cost = float(result.distance), float(result.cost)
     msg.slack = float(max(np.max(result.slack, initial=0.0), np.max(np.nan_to_num(result.violation), initial=0.0)))
     msg.prepare_time, msg.solve_time = float(result.prepare_time), float(result.solve_time)
+
+
+def judgement(msg: ControllerState, decision: Decision, complaints: Sequence[str]) -> tuple[bytes, str]:
+    """Level and line of the diagnostics: the mode, and what is wrong with the loop."""
+    if msg.overdue:
+        complaints = ["outputs are overdue", *complaints]
+    level = {Mode.FALLBACK: ERROR, Mode.HOLDING: WARN}.get(decision.mode, OK)
+    if complaints or msg.status in (msg.STATUS_SHIFTED_PLAN, msg.STATUS_FALLBACK):
+        level = max(level, WARN)
+    return level, "; ".join([decision.mode.name, *complaints])
+
+
+def facts(msg: ControllerState, decision: Decision) -> dict[str, Any]:
+    """What the diagnostics tell of a state."""
+    return {
+        "reason": decision.reason,
+        "k": decision.k,
+        "rank": f"{msg.rank}/{msg.rank_need}",
+        "excitation": f"{msg.excitation}/{msg.excitation_need}",
+        "weak": msg.weak,
+        "solve_time": msg.solve_time,
+        "failures": msg.failures,
+        "refused": msg.refused,
+        "deadline_misses": msg.deadline_misses,
+    }
