@@ -11,7 +11,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from ros2_deepc.bags import BagError, Recording, columns, load_run, recording, spill, stretches, summarize
+from ros2_deepc.bags import BagError, BagReader, Recording, columns, load_run, recording, spill, stretches, summarize
 from ros2_deepc.bags.export import export
 from ros2_deepc.bags.panels import page_data
 from ros2_deepc.bags.quantiles import Quantiles
@@ -58,7 +58,9 @@ def with_epoch(message, epoch):
 @pytest.fixture(params=[1, 2, 3])
 def bag(make, tmp_path, request, monkeypatch):
     monkeypatch.setattr(columns, "_PIECE", 1000)  # many pieces, so that what is wanted is spread over them
-    make.write_bag(tmp_path / "bag", difficult(make, request.param), metadata={"seed": "3"})
+    options = {"max_bytes": 10_000, "chunk_size": 2000} if request.param == 2 else {}  # several files
+    make.write_bag(tmp_path / "bag", difficult(make, request.param), metadata={"seed": "3"}, **options)
+    assert (len(BagReader(tmp_path / "bag").files) > 3) == bool(options)
     return tmp_path / "bag"
 
 
