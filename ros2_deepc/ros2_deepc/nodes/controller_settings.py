@@ -105,12 +105,7 @@ PARAMETERS = (
     _row("trip_window", 10, "samples of that median", "samples", low=1, high=100_000),
     _row("ramp", 20, "length of the fallback's ramp", "samples", low=1, high=100_000),
     _row("shadow", False, "start in SHADOW: compute and report, move nothing"),
-    _row(
-        "standby",
-        False,
-        "while another controller commands the plant: wait until it is gone, instead of refusing;"
-        " with shadow: learn meanwhile, and take over with what was learned",
-    ),
+    _row("standby", False, "while another controller commands the plant: wait until it is gone, instead of refusing"),
     _row("stop", "safe", "real time only: last input when it is stopped", choices=get_args(Leave)),
     _row(
         "patience",
