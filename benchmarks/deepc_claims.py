@@ -106,9 +106,7 @@ def drift(shifts):
         u = np.clip(0.9 * np.sin(k / 300.0) + 0.1 * rng.uniform(-1, 1, 3), -1, 1)
         controller.observe(u, plant.move(u))
         if k in checks:
-            controller._load()
-            program = controller._planner._main.program  # y = outputs x + outputs_w w
-            errors[k] = float(np.abs(program.outputs - plant.G).max())
+            errors[k] = float(np.abs(controller._data.predictor().G - plant.G).max())
             print(f"  {k:7d} times           {errors[k]:.1e}", flush=True)
     if max(errors.values()) > 1e-9:
         yield f"drift: error {max(errors.values()):.1e} after {shifts} shifts"

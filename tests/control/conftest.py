@@ -42,7 +42,7 @@ class Truth:
         """Outputs (L, p) from the slow state and inputs (L + s - 1, m)."""
         return (self.O @ z1 + self.T @ np.ravel(inputs)).reshape(self.L, -1)
 
-    def equilibrium(self, z1, committed, last, goal, settings):
+    def equilibrium(self, z1, committed, last, goal, settings, y_scale):
         """Planned inputs (L, m) for terminal "equilibrium" with rest as equality rows; None if they cannot hold.
 
         Up to a weight of 10, rest is a square as any other. The plan's last sample is the steady state that it tracks.
@@ -71,11 +71,12 @@ class Truth:
             rest = (rest[0][:0], rest[1][:0])
         n, low, high = G.shape[1], np.broadcast_to(settings.y_min, p), np.broadcast_to(settings.y_max, p)
         limited = p if np.isfinite([low, high]).any() else 0
-        price = settings.slack_weight * Q
+        price = settings.slack_weight * np.mean(Q * y_scale**2)  # of a slack of the size of the data
         H, f = np.zeros((n + limited, n + limited)), np.zeros(n + limited)
         H[:n, :n] = sum(2 * weight * C.T @ C for C, _, weight in squares)
         f[:n] = sum(2 * weight * C.T @ d for C, d, weight in squares)
-        H[n:, n:], f[n:] = price * np.eye(limited), price
+        if limited:
+            H[n:, n:], f[n:] = price * np.diag(y_scale**-2.0), price / y_scale
         slack = np.tile(np.eye(p), (L, 1))[:, :limited]
         moves, before = block - np.vstack([np.zeros((m, n)), block[:-m]]), np.zeros(m * L)
         before[:m] = np.clip(last, settings.u_min, settings.u_max)

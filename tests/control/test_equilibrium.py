@@ -26,7 +26,8 @@ def static_gain(form):
 def compare(run, model, goal):
     """One step beside the hard version: (plan's error or None where it is infeasible, result)."""
     last = run.committed[-1] if run.settings.s > 1 else run.u[-1]
-    exact = model.equilibrium(run.stepper.z1, run.committed, last, goal, run.settings)
+    y_scale = np.exp2(np.round(np.log2(run.controller._data.scale[1])))
+    exact = model.equilibrium(run.stepper.z1, run.committed, last, goal, run.settings, y_scale)
     result = run.step(goal)
     assert result.status.solved
     return None if exact is None else np.abs(result.u_plan - exact).max(), result

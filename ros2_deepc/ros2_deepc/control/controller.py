@@ -293,7 +293,7 @@ class DeepcController:
     def _load(self) -> None:
         """Brings the program up to date with the window."""
         begin = perf_counter()
-        self._planner.load(self._data.predictor())
+        self._planner.load(self._data.predictor(), self._data.scale)
         self._due = False
         self._prepare_time = perf_counter() - begin
 
@@ -351,7 +351,8 @@ class DeepcController:
             u, y = last.u(m), last.y(p)
             u = np.vstack([u[age:], np.tile(u[-1], (age, 1))])
             y = np.vstack([y[age:], np.full((age, p), np.nan)])
-            return Status.SHIFTED_PLAN, Plan(None, u, y, False, "", 0, remark, last.unmet)
+            return Status.SHIFTED_PLAN, Plan(None, last.scale, u, y, False, "", 0, remark, last.unmet)
         held = self._last if self._last is not None else np.zeros(m)
         u = np.tile(held if self._sized.base.fallback == "hold" else self._sized.u_safe, (L, 1))
-        return Status.FALLBACK, Plan(None, u, np.full((L, p), np.nan), False, "", 0, remark, np.full(p, np.nan))
+        nan = np.full((L, p), np.nan)
+        return Status.FALLBACK, Plan(None, (np.ones(m), np.ones(p)), u, nan, False, "", 0, remark, nan[0])

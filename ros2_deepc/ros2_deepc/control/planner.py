@@ -11,7 +11,8 @@ from ros2_deepc.behavior.hankel import Array
 from .predictor import Predictor
 from .problem import Condensed, Template, condense
 from .qp import CheckedSolver, Daqp
-from .settings import Sized
+from .settings import Sized, Terminal
+from .transform import Scales
 
 RESTLESS = "no plan within the limits ends at rest: what is missing is priced"
 FEASIBLE = 1e-6  # a terminal condition missed by less than this, relative to the signals' size, holds
@@ -22,6 +23,7 @@ class Plan(NamedTuple):
 
     Attributes:
         program: the program solved; None for a plan that was made otherwise.
+        scale: units of inputs, (m,), and outputs, (p,), in that program.
         x: its solution; or the inputs themselves, shape (L, m).
         w: what it started from; or the outputs themselves, shape (L, p).
         second: whether the second solver had to be used.
@@ -33,6 +35,7 @@ class Plan(NamedTuple):
     """
 
     program: Condensed | None
+    scale: tuple[Array, Array]
     x: Array
     w: Array
     second: bool
@@ -43,7 +46,7 @@ class Plan(NamedTuple):
 
     def first(self, m: int) -> Array:
         """The first planned input, shape (m,)."""
-        u: Array = self.x[0] if self.program is None else self.x[:m]
+        u: Array = self.x[0] if self.program is None else self.x[:m] * self.scale[0]
         return u
 
     def u(self, m: int) -> Array:
@@ -51,14 +54,14 @@ class Plan(NamedTuple):
         if self.program is None:
             return self.x.copy()
         u: Array = self.program.inputs @ self.x
-        return u.reshape(-1, m)
+        return u.reshape(-1, m) * self.scale[0]
 
     def y(self, p: int) -> Array:
         """Predicted outputs, shape (L, p)."""
         if self.program is None:
             return self.w.copy()
         y: Array = self.program.outputs @ self.x + self.program.outputs_w @ self.w
-        return y.reshape(-1, p)
+        return y.reshape(-1, p) * self.scale[1]
 
 
 class _Branch:
@@ -66,11 +69,12 @@ class _Branch:
 
     Args:
         template: what the program owes to the settings.
-        solver: name of the solver to try first.
+        scales: its units.
     """
 
-    def __init__(self, template: Template, solver: str) -> None:
-        self.template, self.solver = template, CheckedSolver(solver)
+    def __init__(self, template: Template, scales: Scales) -> None:
+        self.template, self.solver = template, CheckedSolver(template.sized.base.solver)
+        self._scale = (scales.u, scales.y)
         self.program: Condensed | None = None
         self._restless = False  # whether the last plan could not end at rest
         self._goal: Array | None = None
@@ -104,11 +108,13 @@ class _Branch:
             remark = f"{RESTLESS}; {remark}" if remark else RESTLESS
         if answer is None:
             return None, remark
-        return Plan(program, answer.x, w, which > 0, answer.solver, answer.iterations, remark, unmet), remark
+        return Plan(
+            program, self._scale, answer.x, w, which > 0, answer.solver, answer.iterations, remark, unmet
+        ), remark
 
 
 class Planner:
-    """Solves the program of one predictor after another.
+    """Solves the program of one predictor after another, in units of its own.
 
     Args:
         sized: settings.
@@ -116,38 +122,53 @@ class Planner:
 
     def __init__(self, sized: Sized) -> None:
         self._sized = sized
-        base, m = sized.base, sized.m
-        known = base.past + base.s - 1
-        last_input = slice(m * (known - 1), m * known)
-        size = m * known + base.disturbances * (known + base.L) + sized.p * base.past
-        self._main = _Branch(Template(sized, size, last_input, base.terminal), base.solver)
+        self._scales: Scales | None = None
+        self._main: _Branch | None = None
         self._relaxed: _Branch | None = None
-        if base.terminal == "hard":
-            self._relaxed = _Branch(Template(sized, size, last_input, "soft"), base.solver)
         self._tests: list[_Reach] = []
         self._predictor: Predictor | None = None
+        self._goal: tuple[Array, Array] | None = None  # a reference, and the same in the program's units
         self._nothing = np.zeros(sized.p)
 
     @property
     def loaded(self) -> bool:
         """Whether there is a predictor to plan with."""
-        return self._main.program is not None
+        return self._main is not None
 
-    def load(self, predictor: Predictor) -> None:
-        """Takes a predictor; everything that does not need the newest sample is worked out here, unless it is known."""
+    def load(self, predictor: Predictor, scale: tuple[Array, Array]) -> None:
+        """Takes a predictor; everything that does not need the newest sample is worked out here, unless it is known.
+
+        Args:
+            predictor: in the units of the plant.
+            scale: sizes of inputs and disturbances, (m + disturbances,), and of outputs, (p,); the same at every call.
+        """
         if predictor is self._predictor:
             return
         self._predictor = predictor
-        program = self._main.load(predictor)
+        if self._scales is None or self._main is None:
+            self._scales = Scales(*scale, self._sized)
+            self._main = self._branch(self._scales, self._sized.base.terminal)
+            if self._sized.base.terminal == "hard":
+                self._relaxed = self._branch(self._scales, "soft")
+        scaled = self._scales.predictor(predictor)
+        program = self._main.load(scaled)
         if self._relaxed is not None:
-            self._relaxed.load(predictor)
+            self._relaxed.load(scaled)
             p = self._sized.p
             every = [np.arange(p)] + [np.array([i]) for i in range(p)]
             self._tests = [_Reach(self._main.template, program, outputs) for outputs in every]
 
+    def _branch(self, scales: Scales, terminal: Terminal) -> _Branch:
+        base, m = self._sized.base, self._sized.m
+        known = base.past + base.s - 1
+        last_input = slice(m * (known - 1), m * known)
+        size = m * known + base.disturbances * (known + base.L) + self._sized.p * base.past
+        return _Branch(Template(scales.sized, size, last_input, terminal), scales)
+
     def settle(self) -> None:
         """Work for the next step that the last answer allows for."""
-        self._main.solver.settle()
+        if self._main is not None:
+            self._main.solver.settle()
         if self._relaxed is not None:
             self._relaxed.solver.settle()
 
@@ -159,9 +180,14 @@ class Planner:
         Returns:
             The plan, and a remark; no plan if no solver found one that passes the check.
         """
+        assert self._main is not None  # load comes first
+        assert self._scales is not None
+        if self._goal is None or self._goal[0] is not r:
+            self._goal = (r, self._scales.goal(r))
+        w, r = self._scales.known(w), self._goal[1]
         if self._relaxed is None:
             return self._main.plan(w, r, self._nothing)
-        unmet = self._unmet(w, r)
+        unmet = self._unmet(w, r, self._scales.y)
         if not unmet.any():
             return self._main.plan(w, r, unmet)
         plan, remark = self._relaxed.plan(w, r, unmet)
@@ -172,7 +198,7 @@ class Planner:
             return None, said
         return plan._replace(remark=said), said
 
-    def _unmet(self, w: Array, r: Array) -> Array:
+    def _unmet(self, w: Array, r: Array, y_scale: Array) -> Array:
         """Zero if (6.1c) can hold, else the least each output must miss it by."""
         tolerance = FEASIBLE * max(1.0, float(np.abs(w).max()), float(np.abs(r).max()))
         together = self._tests[0].smallest(w, r)
@@ -182,7 +208,7 @@ class Planner:
         alone[alone <= tolerance] = 0.0
         if not alone.any():  # each can hold, but not all together
             alone[:] = together
-        return np.where(self._sized.mask > 0, alone, 0.0)
+        return np.where(self._sized.mask > 0, alone * y_scale, 0.0)
 
 
 class _Reach:

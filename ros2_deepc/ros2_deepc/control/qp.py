@@ -15,8 +15,8 @@ from ros2_deepc.behavior.hankel import Array
 from .active_set import ActiveSet
 from .problem import FAR, Condensed
 
-ACCURACY = 1e-4  # aimed at in x: residuals tell of errors up to the condition of H times as large
-EPS = (1e-9, 1e-6)  # bounds of the tolerance that follows from it
+ACCURACY = 3e-5  # aimed at in x: residuals tell of errors up to the condition of H times as large
+EPS = (2e-10, 1e-6)  # bounds of the tolerance that follows from it
 EXACT = 1e-9  # tolerance of DAQP's rows; its own, 1e-6, shows in x
 STEP = 1 / 3  # of sqrt(least * largest eigenvalue of H): the step size at which box programs take fewest iterations
 SOLVED = osqp.osqp_status_type.OSQP_SOLVED.value

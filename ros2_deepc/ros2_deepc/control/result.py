@@ -77,7 +77,8 @@ class StepResult:
     @property
     def limited(self) -> bool:
         """Whether the limiter had to change the wanted input by more than rounding."""
-        return bool(np.abs(self.u - self.wanted).max() > 1e-4 * max(1.0, np.abs(self.wanted).max()))
+        size = np.maximum(self.plan.scale[0], np.abs(self.wanted))
+        return bool((np.abs(self.u - self.wanted) > 1e-4 * size).any())
 
     @property
     def iterations(self) -> int:
@@ -139,7 +140,7 @@ class StepResult:
     @property
     def feasible(self) -> bool:
         """Whether the terminal condition and the output limits hold for the plan, to 1e-4 of the outputs' size."""
-        tolerance = 1e-4 * np.maximum(1.0, np.abs(self.y_plan).max(axis=0))
+        tolerance = 1e-4 * np.maximum(self.plan.scale[1], np.abs(self.y_plan).max(axis=0))
         return bool((self.violation <= tolerance).all() and (self.slack <= tolerance).all())
 
     @property

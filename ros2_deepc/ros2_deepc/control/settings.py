@@ -248,6 +248,10 @@ def size(base: DeepcSettings, m: int, p: int) -> Sized:
         if empty.size:
             i = empty[0]
             raise ValueError(f"no {kind}[{i}] is allowed: {kind}_min = {low[i]:g} exceeds {kind}_max = {high[i]:g}")
+        if (low == np.inf).any() or (high == -np.inf).any():
+            raise ValueError(
+                f"{kind}_min or {kind}_max allows infinity only: {kind}_min = inf and {kind}_max = -inf do"
+            )
     if not (arrays["du_max"] > 0).all():
         raise ValueError(f"du_max = {arrays['du_max'].min():g}: a rate limit must be positive")
     if ((arrays["mask"] < 0) | (arrays["mask"] > 1)).any():

@@ -49,6 +49,48 @@ def unscale(predictor: Predictor, units: Units) -> Predictor:
     )
 
 
+class Scales:
+    """Units in which a program is well scaled: each channel by the power of two nearest its size in the data.
+
+    Powers of two, so that nothing is rounded. Costs are scaled so that the larger of the mean weights is about one.
+
+    Args:
+        u_scale: sizes of inputs and disturbances, shape (m + disturbances,).
+        y_scale: sizes of outputs, shape (p,).
+        sized: settings.
+    """
+
+    def __init__(self, u_scale: Array, y_scale: Array, sized: Sized) -> None:
+        base, m, p = sized.base, sized.m, sized.p
+        u, self.y = _power_of_two(u_scale), _power_of_two(y_scale)
+        self.u, d = u[:m], u[m:]
+        known = base.past + base.s - 1
+        self._w = np.concatenate([np.tile(self.u, known), np.tile(d, known + base.L), np.tile(self.y, base.past)])
+        self._future, self._free = np.tile(self.y, base.L), np.tile(self.u, base.L)
+        Q, R = self.y[:, None] * sized.Q * self.y, self.u[:, None] * sized.R * self.u
+        price = max(float(np.trace(Q)) / p, float(np.trace(R)) / m)
+        cost = float(_power_of_two(np.array(price))) if price > 0 else 1.0
+        limits = {name: getattr(sized, name) / self.u for name in ("u_min", "u_max", "du_max")}
+        limits |= {name: getattr(sized, name) / self.y for name in ("y_min", "y_max")}
+        self.sized = replace(sized, Q=Q / cost, R=R / cost, **limits)
+
+    def predictor(self, predictor: Predictor) -> Predictor:
+        """The predictor in these units, from one in the units of the plant."""
+        return unscale(predictor, Units((1.0 / self._future)[:, None], 1.0 / self._free, 1.0 / self._w))
+
+    def known(self, w: Array) -> Array:
+        """What a step knows in these units."""
+        return np.asarray(w / self._w)
+
+    def goal(self, r: Array) -> Array:
+        """A reference trajectory, (pL,), in these units."""
+        return np.asarray(r / self._future)
+
+
+def _power_of_two(a: Array) -> Array:
+    return np.asarray(np.exp2(np.round(np.log2(a))))
+
+
 def accumulate(predictor: Predictor, sized: Sized) -> Predictor:
     """Absolute predictions from a predictor of increments: offset-free under constant disturbances.
 
