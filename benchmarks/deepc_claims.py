@@ -7,6 +7,7 @@
 - Predictor after 100 000 shifts of the window with 10 % excitation against the true one.
 - 4000 steps towards random references, within reach of the inputs and out of it: always an answer, and in the end the
   best steady state.
+- Limits on rates and outputs together with equilibrium: always an answer, and how often it is the second solver's.
 - Import and first step in a fresh process: time and memory.
 """
 
@@ -112,6 +113,11 @@ def drift(shifts):
         yield f"drift: error {max(errors.values()):.1e} after {shifts} shifts"
 
 
+def static_gain(plant):
+    """Steady outputs per steady input."""
+    return plant.C @ np.linalg.solve(np.eye(len(plant.A)) - plant.A, plant.B)
+
+
 def references(solves):
     print("references: steps, not solved, largest relative distance from the best steady state in the end")
     each = 200
@@ -121,7 +127,7 @@ def references(solves):
         bad, worst = 0, 0.0
         for seed in range(max(1, solves // each)):
             plant, controller, rng = begin(DeepcSettings(**BASE, solver=solver), 100 + seed)
-            gain = plant.C @ np.linalg.solve(np.eye(6) - plant.A, plant.B)
+            gain = static_gain(plant)
             goal = gain @ rng.uniform(-share, share, 3)
             best = gain @ lsq_linear(gain, goal, (-1.0, 1.0), tol=1e-14).x
             for _ in range(each):
@@ -133,6 +139,36 @@ def references(solves):
         print(f"  {kind}, {solver}: {solves}, {bad}, {worst:.1e}", flush=True)
         if bad or worst > limit:
             yield f"references {kind} with {solver}: {bad} not solved, error {worst:.1e}"
+
+
+def limits(steps):
+    print(
+        "limits and equilibrium: steps, not solved, left to the second solver, median and 99 % of the CPU ms of a step"
+    )
+    each = 100
+    kinds = {"rates": {"du_max": 0.3}, "outputs": {"y": 0.6}, "both": {"du_max": 0.3, "y": 0.6}}
+    for (kind, how), (reach, share), solver in product(
+        kinds.items(), (("within reach", 0.7), ("out of reach", 2.0)), ("osqp", "daqp")
+    ):
+        names, times = [], []
+        for seed in range(max(1, steps // each)):
+            gain = static_gain(Plant(3, 2, 6, 200 + seed))
+            bound = how.get("y", np.inf) * np.abs(gain).sum(axis=1)
+            settings = {**BASE, "solver": solver, "du_max": how.get("du_max", np.inf), "y_min": -bound, "y_max": bound}
+            plant, controller, rng = begin(DeepcSettings(**settings), 200 + seed)
+            for k in range(each):
+                if k % 25 == 0:
+                    goal = gain @ rng.uniform(-share, share, 3)
+                start = time.process_time()
+                result = controller.step(goal)
+                times.append(1e3 * (time.process_time() - start))
+                names.append(result.status)
+                controller.observe(result.u, plant.move(result.u))
+        bad, second = sum(not s.solved for s in names), sum(s is Status.SECOND_SOLVER for s in names) / len(names)
+        figures = f"{np.median(times):.3f} {np.quantile(times, 0.99):.2f}"
+        print(f"  {kind}, {reach}, {solver}: {len(names)}, {bad}, {100 * second:.1f} %, {figures}", flush=True)
+        if bad or (reach == "within reach" and second > 0.02):
+            yield f"limits on {kind}, references {reach}, {solver}: {bad} not solved, {100 * second:.1f} % handed over"
 
 
 FIRST_STEP = """
@@ -175,6 +211,7 @@ def main():
             *noise(max(3, int(10 * share))),
             *drift(int(100_000 * share)),
             *references(int(4000 * share)),
+            *limits(int(1000 * share)),
             *first_step(),
         ]
     print(f"{time.perf_counter() - started:.0f} s")
