@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A recorded run gives the same answers again, to the bit; what differs is named with its sample, field and size."""
 
+import copy
 import json
 import subprocess
 import sys
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from deepc_msgs.msg import MonitorReport
 
-from ros2_deepc.bags import BagError, BagReader, BagWriter, load_run, replay
+from ros2_deepc.bags import BagError, BagReader, BagWriter, Recording, load_run, replay
 from ros2_deepc.bags.compare import first_difference, same
 from ros2_deepc.bags.convert import from_cdr, to_cdr
 from ros2_deepc.bags.cores import ControllerCore, MonitorCore
@@ -293,6 +294,28 @@ def test_what_if_with_the_same_settings_is_what_was(make, loop, tmp_path):
     assert np.isnan(answer.u[:first]).all()
     np.testing.assert_array_equal(answer.furthest, [0, 0])
     assert answer.solved == K - first
+
+
+@pytest.mark.parametrize("samples", [1, 2, 7, 1000])
+def test_what_if_in_stretches_is_what_if_at_once(make, loop, tmp_path, monkeypatch, samples):
+    """With a gap, an input that is missing, and a second epoch."""
+    messages = [m for m in loop if not (m[0] == "outputs" and m[1].k == 60)]
+    messages = [m for m in messages if not (m[0] == "inputs" and m[1].k == 45)]
+    again = [(name, copy.deepcopy(message)) for name, message in loop]
+    for _, message in again:
+        message.epoch = 1
+    bag = write(make, tmp_path / "bag", [*messages, *again])
+    settings = DeepcSettings(**SETTINGS | {"u_max": 0.2})
+    expected = what_if(load_run(bag), DeepcController(2, 2, settings))
+    monkeypatch.setattr(Recording.stretches, "__defaults__", (samples,))
+    with Recording(bag) as recording:
+        found = what_if(recording, DeepcController(2, 2, settings))
+    for name in ("u", "furthest"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    for name in ("solved", "failed", "first", "first_k", "missing"):
+        assert getattr(found, name) == getattr(expected, name)
+    assert found.solved > 20
+    assert len(np.unique(load_run(bag).epoch)) == 2
 
 
 def test_what_if_with_other_settings_is_something_else(make, loop, tmp_path):

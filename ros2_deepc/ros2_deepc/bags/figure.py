@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from .errors import BagError, why
 from .recording import Recording
 from .run import MODES, NO_MODE, PROPERTIES, VERDICTS, Array, Run
-from .stretches import thin
+from .stretches import Thin
 from .style import INK, INPUTS, MODE, MUTED, OUTPUT, PROPERTY, REFERENCE, RULE, VERDICT
 from .trends import Trends
 
@@ -47,7 +47,7 @@ def draw(
         BagError: if the picture cannot be written.
     """
     trends = run if isinstance(run, Trends) else Trends.of(run)
-    others = [] if what_if is None or not isinstance(run, Run) else [thin(run.x, values) for values in what_if.T]
+    others = [] if what_if is None or isinstance(run, Trends) else _lines(run, what_if)
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=_INCHES, dpi=150, facecolor="white")
         FigureCanvasAgg(figure)
@@ -56,6 +56,15 @@ def draw(
             figure.savefig(path)
         except OSError as error:
             raise BagError(f"cannot write {path}: {why(error)}") from error
+
+
+def _lines(run: Run | Recording, values: Array) -> list[Points]:
+    """Values of each sample of a run, shape (K, m), as lines."""
+    lines = [Thin(len(run)) for _ in values.T]
+    for stretch in run.stretches():
+        for i, line in enumerate(lines):
+            line.add(stretch.x, values[stretch.first : stretch.first + len(stretch), i])
+    return [line.points() for line in lines]
 
 
 def _fill(figure: Figure, trends: Trends, title: str = "", what_if: Sequence[Points] = ()) -> None:

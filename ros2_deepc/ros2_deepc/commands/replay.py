@@ -7,14 +7,14 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 from rich.console import Console
 
+from ..bags.errors import check_target
 from ..bags.figure import draw
 from ..bags.provenance import facts
 from ..bags.reader import BagReader
-from ..bags.recording import find_namespace, load_run
+from ..bags.recording import Recording, find_namespace
 from ..bags.replay import replay as compare
 from ..bags.whatif import what_if
 from ..bags.writer import RUN_METADATA
@@ -110,23 +110,27 @@ def _changed(reader: BagReader) -> list[tuple[str, str, str]]:
 
 
 def _what_if(console: Console, bag: Path, parameters: Parameters, namespace: str | None, out: Path | None) -> None:
+    if out is not None:
+        check_target(out)
     reader = BagReader(bag)
-    run = load_run(reader, namespace)
     plants = reader.decoded([f"{find_namespace(reader, namespace)}/plant_info"])
     info = next((message for _, message in plants), None)
     if info is None:
         raise ConfigError(f"bag {bag} has no plant_info: nothing says what the plant is")
-    controller = DeepcController(run.u.shape[1], run.y.shape[1], settings_for(parameters["controller"], info))
-    with bar(console, "asking") as progress:
-        answer = what_if(run, controller, progress=progress)
-    if answer.missing:
-        raise ConfigError(f"these settings never gave an answer on this run: {answer.missing}")
-    rows = np.flatnonzero(np.isfinite(answer.u).all(axis=1))
-    console.print(f"  {answer.solved} solved, {answer.failed} not; first answer for k = {run.k[rows[0]]}")
+    with bar(console, "reading") as progress:
+        recording = Recording(reader, namespace, progress=progress)
+    with recording, bar(console, "asking") as progress:
+        head = next(recording.stretches(1))
+        controller = DeepcController(head.u.shape[1], head.y.shape[1], settings_for(parameters["controller"], info))
+        answer = what_if(recording, controller, progress=progress)
+        if answer.missing:
+            raise ConfigError(f"these settings never gave an answer on this run: {answer.missing}")
+        if out is not None:
+            draw(recording, out, what_if=answer.u)
+    console.print(f"  {answer.solved} solved, {answer.failed} not; first answer for k = {answer.first_k}")
     if out is not None:
-        draw(run, out, what_if=answer.u)
         console.print(f"  picture: {out}", soft_wrap=True)
-    for name, unit, furthest in zip(run.input_names, run.input_units, answer.furthest, strict=True):
+    for name, unit, furthest in zip(head.input_names, head.input_units, answer.furthest, strict=True):
         console.print(f"  {name}: at most {furthest:.4g} {unit} from what was applied")
 
 
