@@ -52,7 +52,7 @@ class ActiveSet:
         """Solution x and multipliers y if the same bounds hold; whether they do is for the caller to check."""
         assert self._law is not None  # build comes first
         bounds = np.where(self._low, lower, upper)[self._held]
-        solution = self._law @ np.concatenate([f, bounds])
+        solution: Array = self._law.dot(np.concatenate([f, bounds]))
         y = np.zeros(lower.size)
         y[self._held] = solution[f.size :]
         return solution[: f.size], y

