@@ -104,18 +104,20 @@ def test_out_of_reach_ends_at_the_nearest_steady_state_within_the_box(seed, solv
     assert result.distance == pytest.approx(np.abs(goal - nearest).max(), abs=1e-5 * size)
 
 
+@pytest.mark.parametrize("solver", ["osqp", "daqp"])
 @pytest.mark.parametrize("limits", ["rates", "outputs", "all"])
 @pytest.mark.parametrize("seed", range(3))
-def test_never_without_an_answer(seed, limits, plant_form, loop):
+def test_never_without_an_answer(seed, limits, solver, plant_form, loop):
     """References thrown about beyond reach, rests that limits forbid."""
-    run = loop(plant_form(80 + seed, q=5), DeepcSettings(**BASE, **LIMITS[limits], solver="daqp"), seed).collect()
+    run = loop(plant_form(80 + seed, q=5), DeepcSettings(**BASE, **LIMITS[limits], solver=solver), seed).collect()
     restless, goals = 0, run.rng.uniform(-20, 20, (18, 2))
     for k in range(120):
         goal = goals[k // 7]
         if k % 30 == 20:
             run.stepper._z1 = run.stepper.z1 + 5 * run.rng.standard_normal(5)  # struck from outside
         result = run.step(goal)
-        assert result.status is Status.SOLVED
+        assert result.status.solved
+        assert (result.status is Status.SECOND_SOLVER) == (f"{solver}: " in result.reason)
         restless += "ends at rest" in result.reason
         assert np.abs(result.u).max() <= 1.0
     assert restless < 100

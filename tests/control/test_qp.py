@@ -57,9 +57,9 @@ def test_an_infeasible_program_gets_no_answer_and_the_next_one_does(first):
     solver = CheckedSolver(first)
     low, high = np.append(lower, 10.0), np.append(upper, 11.0)
     solver.load(as_program(H, A, low, high))
-    answer, which, remark = solver.solve(f, low, high)
+    answer, failed, remark = solver.solve(f, low, high)
     assert answer is None
-    assert which == 2
+    assert failed == 2
     assert "osqp" in remark
     assert "daqp" in remark
     low, high = np.append(lower, -1.0), np.append(upper, 1.0)

@@ -101,15 +101,15 @@ class _Branch:
             lower[f.size :] -= move
             upper[f.size :] -= move
         # Where there was no plan at rest, there is hardly one a sample later: only an exact solver is asked for it.
-        answer, which, remark = self.solver.solve(f, lower, upper, exactly=self._restless)
+        answer, failed, remark = self.solver.solve(f, lower, upper, exactly=self._restless)
         self._restless = answer is None and program.rests > 0
         if self._restless:
-            answer, which, remark = self.solver.solve(f, *program.eased(lower, upper))
+            answer, failed, remark = self.solver.solve(f, *program.eased(lower, upper))
             remark = f"{RESTLESS}; {remark}" if remark else RESTLESS
         if answer is None:
             return None, remark
         return Plan(
-            program, self._scale, answer.x, w, which > 0, answer.solver, answer.iterations, remark, unmet
+            program, self._scale, answer.x, w, failed > 0, answer.solver, answer.iterations, remark, unmet
         ), remark
 
 

@@ -310,8 +310,7 @@ class CheckedSolver:
             exactly: by DAQP alone, which is sure about programs without a solution.
 
         Returns:
-            The answer that passed the check, or None; which solver gave it (0, 1, or 2 for none); what the others
-            failed on.
+            The answer that passed the check, or None; how many solvers failed before; what they failed on.
         """
         program = self._program
         assert program is not None  # load comes first
@@ -336,6 +335,6 @@ class CheckedSolver:
             if not complaint:
                 if self._learns:
                     self._fresh = (answer.x, answer.y, lower, upper)
-                return answer, i, "; ".join(complaints)
+                return answer, len(complaints), "; ".join(complaints)
             complaints.append(f"{solver.name}: {complaint}")
-        return None, 2, "; ".join(complaints)
+        return None, len(complaints), "; ".join(complaints)
