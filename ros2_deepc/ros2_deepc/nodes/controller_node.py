@@ -21,6 +21,7 @@ from ..control.modes import Mode
 from ..ros import topics
 from ..ros.claim import LEASE, Claimants, Holder
 from ..ros.convert import nanoseconds, period_ns, refusal
+from ..ros.deferred import AT_ONCE, Deferred
 from ..ros.diagnostics import OK, Diagnostics
 from ..ros.health import Health
 from ..ros.lifecycle import ManagedNode
@@ -65,11 +66,12 @@ class ControllerNode(ManagedNode):
     def configure(self) -> None:
         """Makes the topics and services that do not depend on the plant."""
         self._agent: Agent | None = None
-        self._unfinished: tuple[Reading, Decision] | None = None
+        self._unfinished: tuple[Reading, Decision, float] | None = None  # with the time that the answer took
         self._waits = False  # for another controller to go
         self._inputs: PatientPublisher | None = None
         self._state: PatientPublisher | None = None
         self._early: dict[int, Sample] = {}
+        self._after = Deferred(self, AT_ONCE)
         self._diagnostics = Diagnostics(self, "")
         self.resources.callback(self._diagnostics.destroy)
         for kind, name, answer in (
@@ -330,19 +332,19 @@ class ControllerNode(ManagedNode):
         decision = self._agent.step(k, msg.values, int(msg.held))
         if decision.u is not None:
             self._send(k + self._agent.settings.s, decision.u)
-        limited = decision.result is not None and decision.result.limited
-        self.deadline_misses += self._health.sample(self._gap, time.monotonic() - self._arrived, limited)
-        self._unfinished = (msg, decision)
+        self._unfinished = (msg, decision, time.monotonic() - self._arrived)
         if self._info.lockstep:
             self._finish()
         else:  # a plant in the same process takes its inputs first
-            self.later(self._finish)
+            self._after(self._finish)
 
     def _finish(self) -> None:
         """What follows a command: the state, and the preparation of the next step. Comes before anything else does."""
         if self._unfinished is None or self._agent is None:
             return
-        (outputs, decision), self._unfinished = self._unfinished, None
+        (outputs, decision, took), self._unfinished = self._unfinished, None
+        limited = decision.result is not None and decision.result.limited
+        self.deadline_misses += self._health.sample(self._gap, took, limited)
         self._publish_state(outputs, decision)
         self._agent.prepare()
 

@@ -25,6 +25,7 @@ from ..monitors import Finding, Prior, Verdict
 from ..monitors.live import ENTER, PROPERTIES, Job, LiveMonitor, LiveReport
 from ..ros import topics
 from ..ros.convert import nanoseconds, refusal
+from ..ros.deferred import Deferred
 from ..ros.diagnostics import OK, WARN, Diagnostics
 from ..ros.lifecycle import ManagedNode
 from ..ros.live import LiveParameters
@@ -32,6 +33,7 @@ from ..ros.parameters import ConfigError, Param
 from ..ros.run import run_node
 from ..ros.wire import Reading
 
+_SHARE = 0.25  # of the period, after which a loop in the same process has been closed
 PARAMETERS_CHANGED = "parameters"
 PARAMETERS = (
     Param("window", 300, "outputs in the window of the tests", "samples", low=1, high=1_000_000, live=True),
@@ -125,6 +127,7 @@ class MonitorNode(ManagedNode):
     def configure(self) -> None:
         """Opens the log and makes the topics that do not depend on the plant."""
         self._live: LiveMonitor | None = None
+        self._after: Deferred | None = None
         self._report = self.advertise(topics.REPORT, readers=self.p["readers"])
         self._diagnostics = Diagnostics(self, "")
         self.resources.callback(self._diagnostics.destroy)
@@ -160,7 +163,10 @@ class MonitorNode(ManagedNode):
 
     def _after_the_loop(self, take: Callable[[Reading], None]) -> Callable[[Reading], None]:
         """In real time a controller and a plant in the same process go first; the order of the samples stays."""
-        return lambda msg: self.later(lambda: take(msg), turns=2)
+        if self._after is None:
+            self._after = Deferred(self, _SHARE * self._info.sample_time / (self._info.speed or 1.0))
+        after = self._after
+        return lambda msg: after(lambda: take(msg))
 
     def _check_changes(self, parameters: dict[str, Any]) -> None:
         if self._live is not None:

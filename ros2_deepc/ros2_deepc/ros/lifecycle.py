@@ -93,20 +93,6 @@ class ManagedNode(LifecycleNode):
         self.resources.callback(publisher.destroy)
         return publisher
 
-    def later(self, work: Callable[[], None], turns: int = 1) -> None:
-        """Does work once the messages that wait for the executor now have been handled.
-
-        Args:
-            work: done only if the node is still active then; its exceptions end in ``on_fault``.
-            turns: how many times to go to the end of the queue: 1 lets readers of a message just published go first,
-                2 also the readers of their answers.
-        """
-        if self.executor is None:
-            self.guarded(lambda _: work())(None)
-            return
-        again = (lambda: self.later(work, turns - 1)) if turns > 1 else work
-        self.executor.create_task(self.guarded(lambda _: again()), None)
-
     def on_fault(self, error: Exception) -> None:
         """An exception escaped a callback: says so and deactivates."""
         self.fault = str(error) if isinstance(error, ConfigError) else f"{type(error).__name__}: {error}"
