@@ -18,12 +18,14 @@ from ros2_deepc.bags.compare import first_difference, same
 from ros2_deepc.bags.convert import from_cdr, to_cdr
 from ros2_deepc.bags.cores import ControllerCore, MonitorCore
 from ros2_deepc.bags.figure import draw
+from ros2_deepc.bags.replay import REFERENCES
 from ros2_deepc.bags.whatif import what_if
 from ros2_deepc.control import DeepcController, DeepcSettings
 from ros2_deepc.monitors import Prior
 from ros2_deepc.monitors.live import LiveMonitor
 from ros2_deepc.nodes.controller_node import make_agent, settings_for, state_message
 from ros2_deepc.nodes.monitor_node import make_live, report_message
+from ros2_deepc.ros import topics
 
 PARAMETERS = {
     "controller": {"N": 3, "L": 5, "Q": [4.0], "R": [0.5], "terminal": "equilibrium", "seed": 11},
@@ -369,3 +371,7 @@ def test_what_if_knows_inputs_that_were_decided_ahead(make, tmp_path):
     assert answer.solved > 50
     assert np.isfinite(answer.u[-50:]).all()
     assert np.isnan(answer.u[: answer.first]).all()
+
+
+def test_as_many_references_hold_on_in_a_new_epoch_as_a_node_hears_of():
+    assert topics.REFERENCE.depth == REFERENCES

@@ -273,3 +273,16 @@ def test_every_request_is_taken_or_explained(now, wanted):
 def test_safety_settings_that_cannot_work(name, value):
     with pytest.raises(ValueError, match=name):
         Safety(**{name: value})
+
+
+def test_references_that_move_for_ever_take_no_room():
+    _, agent = plant_and_agent(1, 0)
+    agent.start()
+    for k in range(500):
+        agent.references.set(k, [0.001 * k, 0.0])
+        agent.references.set(k + 1, [0.001 * (k + 1), 0.0])
+        decision = agent.step(k, np.zeros(2))
+        np.testing.assert_array_equal(decision.reference, [0.001 * k, 0.0])
+        assert len(agent.references) == 2
+    agent.references.set(3, [9.0, 9.0])  # late: what holds now began after it
+    np.testing.assert_array_equal(agent.references.at(499), [0.499, 0.0])

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 # what depends on the clock or on what never reached the topics
 STATE_SKIP = frozenset({"header", "epoch", "prepare_time", "solve_time", "deadline_misses", "refused"})
 REPORT_SKIP = frozenset({"header", "epoch", "data_age", "compute_time"})
+REFERENCES = 100  # newest ones that hold on in a new epoch: as many as a node that starts then would hear of
 START = 200  # messages kept back at the start of an epoch, or before it, at most
 WAITING = 1000  # answers that may wait for their counterpart before they count as missing
 
@@ -92,8 +93,6 @@ def replay(
 ) -> Replay:
     """Feeds a bag's samples through cores and compares what they answer with what was recorded.
 
-    Memory does not grow with the samples, but with the references: some 300 bytes each, as in the controller itself.
-
     Args:
         bag: folder, file or open reader.
         cores: factory of each part to replay, by its name in ANSWERS.
@@ -125,7 +124,10 @@ def replay(
                 feeder.take(*item)
             early.clear()
         elif topic == "reference":
+            references.pop(message.k, None)
             references[message.k] = message
+            if len(references) > REFERENCES:
+                del references[next(iter(references))]
             if feeder is not None:
                 feeder.take(topic, message)
         elif feeder is None or message.epoch != feeder.epoch:

@@ -131,6 +131,7 @@ class Agent:
         """
         self._take(k, y, held)
         self._next = k + 1
+        self.references.forget(k)
         result = None
         target = self._target(k)
         trouble = self._trouble(k, y)

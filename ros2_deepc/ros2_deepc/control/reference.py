@@ -37,3 +37,14 @@ class ReferenceSchedule:
         """The reference at sample k, shape (p,); None before the first one."""
         past = bisect_right(self._starts, k)
         return self._steps[self._starts[past - 1]] if past else None
+
+    def forget(self, k: int) -> None:
+        """Drops what no longer holds at sample k, so that a reference that moves for ever takes no more room."""
+        over = bisect_right(self._starts, k) - 1
+        if over > 0:
+            for start in self._starts[:over]:
+                del self._steps[start]
+            del self._starts[:over]
+
+    def __len__(self) -> int:
+        return len(self._starts)
