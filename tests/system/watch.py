@@ -9,15 +9,16 @@ python tests/system/watch.py NAMESPACE
 import json
 import sys
 
-from deepc_msgs.msg import ControllerState, Sample
+from deepc_msgs.msg import ControllerState
 
 from ros2_deepc.nodes.observer import Observer
 from ros2_deepc.ros.run import Spinner, make_executor, on_signal, ros
+from ros2_deepc.ros.wire import Reading
 
 
 def facts(msg):
     """What a test asks for."""
-    if isinstance(msg, Sample):
+    if isinstance(msg, Reading):
         return {"topic": "outputs", "k": int(msg.k), "held": int(msg.held), "epoch": int(msg.epoch)}
     if isinstance(msg, ControllerState):
         size = {"rank": int(msg.rank), "rank_need": int(msg.rank_need)}
