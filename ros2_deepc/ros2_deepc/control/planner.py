@@ -102,10 +102,11 @@ class _Branch:
             upper[f.size :] -= move
         # Where there was no plan at rest, there is hardly one a sample later: only an exact solver is asked for it.
         answer, failed, remark = self.solver.solve(f, lower, upper, exactly=self._restless)
-        self._restless = answer is None and program.rests > 0
-        if self._restless:
+        self._restless = False
+        if answer is None and program.rests:
             answer, failed, remark = self.solver.solve(f, *program.eased(lower, upper))
             remark = f"{RESTLESS}; {remark}" if remark else RESTLESS
+            self._restless = answer is not None
         if answer is None:
             return None, remark
         return Plan(
