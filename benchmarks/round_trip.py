@@ -13,7 +13,7 @@ moment before outputs k are published to the moment the inputs computed from the
 - solver: the step of the controller's agent, the optimisation with its checks and the limiter;
 - after: from there to the moment before the inputs are published;
 - back: from there to the plant's callback (second message);
-- beside: the whole trip without the solver.
+- beside the solver: the whole trip but for that step, for which the goal is.
 
 What the controller prepares for the next sample comes after. Samples under control only. The floor is what remains when
 nobody computes anything: two bare nodes on the same executor play one message of the same type and size back and forth
@@ -198,8 +198,13 @@ def row(name, values):
     return median, most
 
 
+def good(figures):
+    """Whether median and 99 % quantile [ms] keep to the goals."""
+    return figures[0] < MEDIAN and figures[1] < P99
+
+
 def main() -> int:
-    """Prints a table for each solver; 1 if a goal was missed."""
+    """Prints a table for each solver; 1 if the goal was missed beside the solver."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--plant", default="wscc9")
     parser.add_argument("--steps", type=int, default=1500, help="samples under control, each solver")
@@ -221,12 +226,14 @@ def main() -> int:
         for name, values in zip(PARTS, parts.T, strict=True):
             row(f"{solver}: {name}", values)
         whole = parts.sum(axis=1)
-        row(f"{solver}: beside the solver", whole - parts[:, PARTS.index("solver")])
-        median, most = row(f"{solver}: round trip", whole)
-        good = median < MEDIAN and most < P99
-        missed |= not good
-        verdict = "as wanted" if good else f"GOAL {MEDIAN}/{P99} ms MISSED"
-        print(f"  {len(whole)} samples, held {held}: {verdict}")
+        beside = row(f"{solver}: beside the solver", whole - parts[:, PARTS.index("solver")])
+        judged = good(beside), good(row(f"{solver}: round trip", whole))
+        missed |= not judged[0]
+        verdicts = ["below" if kept else "ABOVE" for kept in judged]
+        print(
+            f"  {len(whole)} samples, held {held}; goal {MEDIAN}/{P99} ms: {verdicts[0]} beside the solver, "
+            f"{verdicts[1]} with it"
+        )
     return int(missed)
 
 
