@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from plant_sim import Planted, random_system
 from ros2_deepc.behavior import hankel
@@ -358,6 +359,7 @@ def main() -> int:
     parser.add_argument("tables", nargs="*", default=list(TABLES), help=f"of {', '.join(TABLES)}")
     parser.add_argument("--share", type=float, default=1.0, help="fraction of the plants")
     options = parser.parse_args()
+    threadpool_limits(1)  # small matrices: more threads only wait for each other
     broken = list(run(options.tables, options.share))
     for claim in broken:
         print(f"broken: {claim}", file=sys.stderr)
