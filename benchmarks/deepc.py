@@ -39,6 +39,8 @@ SPOILT = 2.0  # other work on the machine costs short steps more than long ones
 BASELINES = ("cvxpy+osqp", "cvxpy+osqp, rebuilt")
 FACTORS = {"offline": {100: 30, 400: 60, 1600: 200}, "online": {100: 20, 400: 40, 1600: 130}}  # against cvxpy, at T
 OURS = ("ours, osqp", "ours, daqp")
+ALONE = "ours, osqp without its law"
+MEDIANS = ("median_ms", "p99_ms", "command_p99_ms", "iterated_ms")
 
 
 class Plant:
@@ -88,18 +90,20 @@ class Case(NamedTuple):
 class Ours:
     """The controller of this project: observe and step, then prepare."""
 
-    def __init__(self, case, solver):
+    def __init__(self, case, solver, *, law=True):
         settings = DeepcSettings(
             N=N, L=L, T=case.T, q=case.q, Q=Q, R=R, u_min=-1.0, u_max=1.0, terminal="none", solver=solver,
             data_policy="sliding" if case.online else "fixed",
         )  # fmt: skip
-        self.controller = DeepcController(case.m, case.p, settings)
+        self.controller, self.law = DeepcController(case.m, case.p, settings), law
 
     def start(self, u, y):
         """Takes the record before the loop and makes the first step."""
         for a, b in zip(u, y, strict=True):
             self.controller.observe(a, b)
         self.controller.step(np.zeros(y.shape[1]))
+        if not self.law:
+            self.controller._planner._main.solver._learns = False
         self.controller.prepare()
 
     def step(self, u, y, goal):
@@ -107,7 +111,7 @@ class Ours:
         begin = time.process_time()
         self.controller.observe(u[-1], y[-1])
         answer = self.controller.step(goal)
-        self.command = time.process_time() - begin
+        self.command, self.solver = time.process_time() - begin, answer.solver
         self.controller.prepare()
         return answer.u if answer.status.solved else None
 
@@ -219,6 +223,8 @@ def contenders(case):
     large = (case.m + case.p) * (N + L) >= LARGE
     yield OURS[0], lambda: Ours(case, "osqp"), 150
     yield OURS[1], lambda: Ours(case, "daqp"), 150
+    if not case.online:  # with a window that moves, every step has a program of its own, and no law
+        yield ALONE, lambda: Ours(case, "osqp", law=False), 150
     if importlib.util.find_spec("cvxpy"):
         yield "cvxpy+osqp" + (", rebuilt" if case.online else ""), lambda: Cvxpy(case), 75
         if case.online and not large:
@@ -239,7 +245,7 @@ def run(make, case, steps):
         y[k] = plant.move(u[k])
     contender = make()
     contender.start(u[:T], y[:T])
-    times, commands, errors, failed = [], [], [], 0
+    times, commands, errors, failed, iterated = [], [], [], 0, []
     answer = plant.best(np.zeros(p))
     for k in range(steps):
         goal = [np.zeros(p), np.full(p, 0.8), np.linspace(-3, 3, p)][k // 25 % 3]
@@ -253,6 +259,7 @@ def run(make, case, steps):
             answer = None
         times.append(time.process_time() - begin)
         commands.append(getattr(contender, "command", times[-1]))
+        iterated += [times[-1]] if getattr(contender, "solver", "") == "osqp" else []
         if answer is None or not np.isfinite(answer).all() or np.abs(answer - best).max() > 0.1:
             answer, failed = best, failed + 1
         else:
@@ -264,6 +271,8 @@ def run(make, case, steps):
         "median_ms": float(np.median(ms)),
         "p99_ms": float(np.quantile(ms, 0.99)),
         "command_p99_ms": float(1e3 * np.quantile(commands, 0.99)),
+        "iterated_ms": float(1e3 * np.median(iterated)) if iterated else float("nan"),
+        "iterated": len(iterated),
         "error": float(np.max(errors, initial=0.0)),
         "failed": failed,
         "steps": len(times),
@@ -277,7 +286,8 @@ def compare(case, share):
         for name, make, steps in contenders(case):
             if name in reasons:
                 continue
-            print(f"  round {turn + 1}: {name} ...", end="\r", flush=True)
+            if sys.stdout.isatty():
+                print(f"  round {turn + 1}: {name} ...\033[K", end="\r", flush=True)
             try:
                 row = run(make, case, max(3, int(share * steps)))
             except Exception as error:
@@ -291,10 +301,11 @@ def compare(case, share):
     for name, row in rows.items():
         times = " ".join(f"{row[key]:9.3f}" for key in ("median_ms", "p99_ms", "command_p99_ms"))
         print(f"  {name:30s} {times} {row['error']:8.0e} {row['failed']:4d}/{row['steps']:<4d}", flush=True)
+    if (row := rows[OURS[0]])["iterated"] < row["steps"]:
+        print(f"  {OURS[0]}: OSQP in {row['iterated']} of {row['steps']} steps, {row['iterated_ms']:.3f} ms each")
     if base:
-        print(
-            "  " + ", ".join(f"{name} {rows[name]['times_faster']:.0f} times faster than cvxpy+osqp" for name in OURS)
-        )
+        ours = [name for name in (*OURS, ALONE) if name in rows]
+        print("  times faster than cvxpy+osqp: " + ", ".join(f"{n} {rows[n]['times_faster']:.0f}" for n in ours))
     return rows
 
 
@@ -302,10 +313,11 @@ def summary(turns, base):
     """Medians over the rounds, the worst error and all failures; the ratio to the baseline is taken round by round."""
     ratios = [b["median_ms"] / t["median_ms"] for b, t in zip(base, turns, strict=False)]
     return {
-        **{key: float(np.median([t[key] for t in turns])) for key in ("median_ms", "p99_ms", "command_p99_ms")},
+        **{key: float(np.median([t[key] for t in turns])) for key in MEDIANS},
         "times_faster": float(np.median(ratios)) if ratios else float("nan"),
         "error": max(t["error"] for t in turns),
         "failed": sum(t["failed"] for t in turns),
+        "iterated": sum(t["iterated"] for t in turns),
         "steps": sum(t["steps"] for t in turns),
         "rounds": len(turns),
     }
@@ -326,6 +338,8 @@ def goals(results):
             for name, limit in zip(OURS, limits, strict=True):
                 line(f"{mode} T={T} {name.split()[1]}", rows[name]["median_ms"], limit)
                 line("  sample to command, p99", rows[name]["command_p99_ms"], 0.3)
+            if row := rows.get(ALONE):
+                line("  osqp alone", row["median_ms"], limits[0])
             if rows.keys() & set(BASELINES):
                 line("  osqp against cvxpy+osqp", rows[OURS[0]]["times_faster"], factor, ms=False)
     for size, limit in (("T=400 m=10 p=10 q=20", 8.0), ("T=1600 m=50 p=50 q=60", 400.0)):
