@@ -63,7 +63,7 @@ PARAMETERS = (
         "q",
         0,
         "prior: upper bound of the slow order; 0 = what the plant says. One too small is noticed always in exact data, "
-        "in 95 % of plants at 60 dB",
+        "in 94 % of plants at 60 dB",
         low=0,
     ),
     Param(
