@@ -13,6 +13,7 @@ import pytest
 from deepc_msgs.msg import ControllerState, MonitorReport, PlantInfo, Sample, Verdict
 from numpy.random import PCG64, Generator
 
+from ros2_deepc import cli
 from ros2_deepc.bags import BagWriter
 from ros2_deepc.bags.convert import to_cdr
 from ros2_deepc.bags.layout import qos_entry
@@ -148,5 +149,19 @@ def record(tmp_path):
         messages = run_messages(u, y, ref, collect)
         write_bag(tmp_path / name, messages, **options)
         return Recorded(tmp_path / name, u, y, ref, messages)
+
+    return run
+
+
+@pytest.fixture
+def deepc(monkeypatch, capsys):
+    """Runs ros2-deepc and returns its exit code, output (240 columns wide) and errors."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["ros2-deepc", *map(str, arguments)])
+        monkeypatch.setenv("COLUMNS", "240")
+        code = cli.main()
+        seen = capsys.readouterr()
+        return code, seen.out, seen.err
 
     return run

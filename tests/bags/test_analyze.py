@@ -3,31 +3,15 @@
 """The command analyze: verdicts on bags and tables, gaps included, are those of the library on the same samples."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 
 from plant_sim import random_system
-from ros2_deepc import cli
 from ros2_deepc.bags import BagReader, load_run
 from ros2_deepc.bags.export import export
 from ros2_deepc.bags.records import load_records
 from ros2_deepc.monitors import Prior, Verdict, analyze_records
-
-
-@pytest.fixture
-def deepc(monkeypatch, capsys):
-    """Runs ros2-deepc and returns its exit code, output and errors."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["ros2-deepc", *map(str, arguments)])
-        monkeypatch.setenv("COLUMNS", "240")
-        code = cli.main()
-        seen = capsys.readouterr()
-        return code, seen.out, seen.err
-
-    return run
 
 
 @pytest.fixture

@@ -2,29 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The commands on bags: whatever is wrong is said in one line that tells what to do, before any long work."""
 
-import sys
-
 import numpy as np
 import pytest
 from std_msgs.msg import Float64
 
-from ros2_deepc import cli
 from ros2_deepc.bags import BagWriter
 from ros2_deepc.bags.convert import to_cdr
-
-
-@pytest.fixture
-def deepc(monkeypatch, capsys):
-    """Runs ros2-deepc and returns its exit code, output and errors."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["ros2-deepc", *map(str, arguments)])
-        code = cli.main()
-        seen = capsys.readouterr()
-        return code, seen.out, seen.err
-
-    return run
-
 
 READING = {
     "report": ("report", "--out", "r.html"),

@@ -2,28 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command tune, from a bag to settings that the controller takes."""
 
-import sys
-
 import pytest
 import yaml
 
-from ros2_deepc import cli
 from ros2_deepc.nodes.controller_settings import settings_for
 
 SMALL = ("-N", "2", "-N", "4", "-L", "5", "-L", "8", "-q", "0", "-q", "2", "-T", "60")
-
-
-@pytest.fixture
-def deepc(monkeypatch, capsys):
-    """Runs ros2-deepc and returns its exit code, output and errors."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["ros2-deepc", *map(str, arguments)])
-        code = cli.main()
-        seen = capsys.readouterr()
-        return code, seen.out, seen.err
-
-    return run
 
 
 def test_finds_settings_draws_them_and_writes_what_the_controller_takes(deepc, record, make, tmp_path, monkeypatch):
