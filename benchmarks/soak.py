@@ -104,7 +104,8 @@ def settings(steps, folder, record):
         },
     }
     if record:
-        changes["recorder"] = {"folder": str(folder / "bag")}
+        # MCAP keeps an index of the open file in memory, 1.3 kB a chunk: files small enough to see what else grows
+        changes["recorder"] = {"folder": str(folder / "bag"), "max_size": 10.0}
     return merged(load(shipped("wscc9")), changes)
 
 
