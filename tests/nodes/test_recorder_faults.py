@@ -97,7 +97,7 @@ def test_a_recorder_that_may_not_write_more_lives_on_until_it_is_told(tmp_path, 
     file = tmp_path / "parameters.yaml"
     file.write_text(parameters(parameters_of, tmp_path / "bag", 1).replace("max_size: 0.03", "max_size: 1.0"))
     code = (
-        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (250_000, 250_000));"
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (120_000, 120_000));"
         "from ros2_deepc.nodes.recorder_node import main; raise SystemExit(main())"
     )
     arguments = ["--ros-args", "-r", f"__ns:={ZONE}", "--params-file", str(file)]
