@@ -20,7 +20,7 @@ from ..bags.run import PROPERTIES
 from ..bags.style import PROPERTY, VERDICT
 from ..monitors import Finding, Noise, Prior, Report, Verdict, analyze_records, estimate_structure, increments
 from .bar import bar
-from .plane import at_fault, draw_plane, speaks, spoken
+from .plane import at_fault, draw_plane, in_words, speaks
 
 PICTURES = (".png", ".svg", ".pdf")
 COLOR = {Verdict.PROVED: "green", Verdict.NOT_PROVED: "yellow", Verdict.PRIOR_VIOLATED: "red"}
@@ -144,7 +144,7 @@ def _show(console: Console, title: str, found: Recorded, prior: Prior, report: R
     console.print(table)
     for mode in at_fault(report):
         console.print(
-            f"  mode at fault: λ = {spoken(mode.lambda_)}, {_place(mode.place)}", highlight=False, soft_wrap=True
+            f"  mode at fault: λ = {in_words(mode.lambda_)}, {_place(mode.place)}", highlight=False, soft_wrap=True
         )
     estimate = report.estimate
     console.print(

@@ -65,7 +65,7 @@ def _plane(figure: Figure, report: Report) -> None:
     if lost and np.isfinite(star):
         side = "right" if star.real > 0 else "left"
         axis.annotate(
-            f"λ = {spoken(star)}", (star.real, star.imag), (-10 if star.real > 0 else 10, 16), ha=side,
+            f"λ = {in_words(star)}", (star.real, star.imag), (-10 if star.real > 0 else 10, 16), ha=side,
             textcoords="offset points", fontweight="bold",
         )  # fmt: skip
 
@@ -124,7 +124,7 @@ def speaks(finding: Finding) -> bool:
     return finding.verdict in (Verdict.PROVED, Verdict.NOT_PROVED) and bool(np.isfinite(finding.margin))
 
 
-def spoken(lam: complex) -> str:
+def in_words(lam: complex) -> str:
     """A complex number with three decimals, without an imaginary part that is none."""
     if abs(lam.imag) < 5e-4:
         return f"{lam.real:.3f}"
